@@ -218,6 +218,141 @@ def test_nothing_identified_is_no_scene(fmu: Path, library: Library) -> None:
         found.scene()
 
 
+def driven(library: Library, base: dict[str, float | bool], seconds: float) -> dict[str, np.ndarray]:
+    """Columns of a record of a machine that torques turn; they are constant between samples."""
+    time = np.arange(0.0, seconds + trials.PERIOD / 2, trials.PERIOD)
+    torques = 0.02 * np.column_stack([np.sin(9.0 * time), np.cos(7.0 * time)])
+    samples = data.Samples(time, np.zeros((len(time), 2)), torques, ("tau[1]", "tau[2]"))
+    device = motion.Machine(library, base, [])
+    device.tolerance(1e-10)
+    path = motion.Path(samples, "hold", library, trials.PERIOD)
+    moved, _ = device.run(path, np.empty(0), motion.Start(np.array([2.2, 0.94, 0.0, 0.0]), 1))
+    device.close()
+    angles = moved[:, :2] + 1e-4 * np.random.default_rng(1).standard_normal((len(time), 2))
+    columns = {f"measured.theta[{i + 1}]": angles[:, i] for i in (0, 1)}
+    return {"time": time} | columns | {f"tau[{i + 1}]": torques[:, i] for i in (0, 1)}
+
+
+@pytest.mark.parametrize("between", ["rate", "linear", "hold"])
+def test_a_run_takes_the_steps_of_a_live_unit(library: Library, between: motion.Between) -> None:
+    """The same bits, for servo commands with their rates as for torques."""
+    for columns in (made(library, ["payload.mass"], [1.0], 0.2), driven(library, SINKING, 0.2)):
+        names = tuple(name for name in columns if name.startswith(("servo", "tau")))
+        samples = data.Samples(
+            columns["time"],
+            np.zeros((len(columns["time"]), 2)),
+            np.column_stack([columns[name] for name in names]),
+            names,
+        )
+        path = motion.Path(samples, between, library, trials.PERIOD)
+        device = motion.Machine(library, BASE, [])
+        moved, _ = device.run(path, np.empty(0), motion.Start(np.array([*trials.BEGIN, 0.0, 0.0]), 1))
+        start = dict(zip(motion.SHOWN, (*trials.BEGIN, 0.0, 0.0), strict=True))
+        device.unit.reset(
+            0.0,
+            **(BASE | motion.METHOD | {f"init.{name}": value for name, value in start.items()}),
+            **path.first(np.zeros(2), np.ones(2)),
+        )
+        for k, time in enumerate(path.knots[1:].tolist()):
+            device.unit.update(dict(zip(names, path.commands[k].tolist(), strict=True)))
+            device.unit.ramp(dict(zip(names, path.slopes[k].tolist(), strict=True)))
+            device.unit.step_to(time)
+            assert moved[k + 1].tolist() == device.unit.numbers(motion.SHOWN), (between, k)
+        device.close()
+
+
+def test_the_usual_unknowns_of_a_record_take_few_runs(fmu: Path, library: Library, tmp_path: Path) -> None:
+    """10 s and 15 unknowns. Derivatives on both sides and all shortest pieces would take 6,969 runs."""
+    file = played(tmp_path, fmu, library, "pick_and_place", 2000)
+    words = ["--fmu", str(fmu), "--scene", "pick_and_place", "--out", str(tmp_path / "out"), "--no-proposal"]
+    assert main(["calibrate", str(file), *words]) in (0, 1)
+    figures = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
+    assert len(figures["unknowns"]) == 15 and figures["runs"] < 3500
+
+
+def test_torque_constants_are_found_from_currents(fmu: Path, library: Library, tmp_path: Path) -> None:
+    """A record with currents in the place of torques: 0.05 and 0.08 N.m/A, which weights and inertias of the scene tell."""
+    columns = driven(library, SINKING, 1.5)
+    for i, constant in ((1, 0.05), (2, 0.08)):
+        columns[f"tau[{i}]"] = columns[f"tau[{i}]"] / constant
+    names = ["torque.constant[1]", "torque.constant[2]"]
+    code, figures = calibrated(
+        fmu, write(tmp_path / "a.csv", columns), tmp_path, names, "--commands", "hold", "--no-proposal", base=SINKING
+    )
+    assert code == 0
+    for name, truth in zip(names, (0.05, 0.08), strict=True):
+        value, bar = (figures["unknowns"][name][key][name] for key in ("value", "bar95"))
+        assert figures["unknowns"][name]["unit"] == "N.m/A" and abs(value - truth) < 4 / 1.96 * bar < 0.02 * truth
+    # The scene's torques at the start are in N.m.
+    written = scenes_of.read(tmp_path / "out" / "calibrated.json", library.known)
+    assert written["tau[2]"] == pytest.approx(0.02, rel=0.02)
+    with pytest.raises(TwinError, match=r"^torque.constant\[2\] is sought twice"):
+        parameters.parameters(["torque.constant", "torque.constant[2]"], library, SINKING)
+
+
+def test_a_tilt_is_found_from_an_upright_start(library: Library) -> None:
+    """The derivative against the tilt is 0 for an upright machine, at which the fit begins."""
+    names = ["gravity.tilt", "link[2,3].mass"]
+    columns = made(library, names, [(1.2 - math.pi / 2) / parameters.MUCH_ANGLE, 0.95], 1.5, servo=False)
+    found = fivebar.calibrate(columns, SINKING, names, fmu=library.fmu)
+    assert abs(found.values["gravity.tilt"] - 1.2) < 4 / 1.96 * found.bars["gravity.tilt"] < 0.02
+
+
+def test_stages_say_what_they_explain(
+    fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Gravity from another side and friction first, then masses."""
+    names = ["link[2,3].mass", "viscous.b", "gravity.direction"]
+    turned = (-1.2 + math.pi / 2) / parameters.MUCH_ANGLE
+    columns = made(library, names, [0.9, 3.0, turned], 2.0)
+    code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, names)
+    stages = figures["stages"]
+    assert code == 0 and [stage["name"] for stage in stages[:3]] == [
+        "gravity",
+        "drives and friction",
+        "masses and geometry",
+    ]
+    assert [stage["seconds"] for stage in stages] == [0.1, 0.1, 0.1, 0.5, 2.0]
+    assert all(stage["after"] < 0.9 * stage["before"] for stage in stages[:3])
+    # The noise of `made` is 0.1 mrad. Pieces that began in the wrong assembly left 2 mrad at the end of the stages.
+    assert stages[2]["after"] < 1.1e-4 and stages[-1]["after"] < 1.1e-4
+    told = capsys.readouterr()
+    assert (
+        re.search(r"gravity, pieces of 0\.1 s: residuals of \S+ mrad become \S+ mrad", told.out)
+        and "gravity, " in told.err
+    )
+
+
+@pytest.mark.parametrize(
+    ("how", "sentence"),
+    [
+        ("weightless", "the record shows no gravity in the plane (gravity.enabled): over pieces of 0.1 s, "),
+        ("from the left", "gravity.direction seems to be near 3.1 rad: "),
+        ("held", "measured.theta[1] stands still within 0.15 mrad: a drive that holds it, or friction, is missing"),
+        ("reversed", "tau[2] seems to have the wrong sign: "),
+    ],
+)
+def test_wrong_assumptions_are_named_before_the_long_fits(how: str, sentence: str, library: Library) -> None:
+    """Nothing was identified after minutes; masses in the scene are off as well."""
+    names, scene = ["payload.mass", "link[2,3].mass", "viscous.b"], BASE
+    if how == "reversed":
+        names, scene = names[:2], SINKING
+        columns = driven(library, SINKING, 2.0)
+        columns["tau[2]"] *= -1
+    else:
+        more = {"weightless": {"gravity.enabled": False}, "from the left": {"gravity.direction": 3.1}}.get(how)
+        columns = made(library, names, [1.2, 0.8, 1.2], 2.0, more=more)
+    if how == "held":
+        columns = {name: column for name, column in columns.items() if not name.startswith("servo")}
+        columns["measured.theta[1]"] = 1.9 + 1e-4 * np.random.default_rng(0).standard_normal(len(columns["time"]))
+        scene = BASE | {"servo.enabled": False}
+    said: list[str] = []
+    problem = calibration.prepare(columns, scene, names, library, 0.0, 10.0, "")
+    with pytest.raises(TwinError, match="^" + re.escape(sentence)):
+        problem.solve("rate", 10.0, 120.0, said.append)
+    assert said and all("pieces of 0.1 s" in line for line in said)
+
+
 def test_rough_data(fmu: Path, library: Library, tmp_path: Path) -> None:
     """Outliers, silent encoders, lost samples, a gap, a delay of 7 ms and offsets, all at once."""
     names = ["payload.mass", "encoder.offset[1]", "encoder.offset[2]", "encoder.delay"]
@@ -264,7 +399,9 @@ def test_a_run_is_calibrated_as_it_was_written(fmu: Path, tmp_path: Path) -> Non
     assert figures["series"] == 1 and max(figures["residuals_rad"]["encoder"]) < 1e-7
 
 
-def test_what_cannot_be_identified_is_refused_and_named(fmu: Path, library: Library, tmp_path: Path) -> None:
+def test_what_cannot_be_identified_is_refused_and_named(
+    fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A machine that sinks freely does not tell a common factor of its masses; led by servos it would."""
     names = ["payload.mass", "link.mass", "encoder.offset[1]"]
     columns = made(library, names, [1.0, 1.0, 0.01], 1.2, servo=False)
@@ -275,6 +412,8 @@ def test_what_cannot_be_identified_is_refused_and_named(fmu: Path, library: Libr
         and unknowns["payload.mass"]["value"] is None
         and not unknowns["link.mass"]["identified"]
     )
+    # With the first longer pieces, not after minutes.
+    assert "these pieces tell 2 of 3 combinations of the unknowns" in capsys.readouterr().err
     (sentence,) = figures["not_identified"]
     assert re.fullmatch("a common factor of (payload.mass, link.mass|link.mass, payload.mass): .*", sentence), sentence
     assert code == (0 if unknowns["encoder.offset[1]"]["identified"] else 1)

@@ -7,7 +7,7 @@ import json
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, TypeVar, get_args
@@ -202,7 +202,8 @@ class Calibration:
         values |= {f"init.omega[{i}]": float(rate) for i, rate in enumerate(first.state[2:], 1)}
         values["init.assembly"] = first.assembly
         # First commands of the drives as start values: without a master the machine stays there.
-        commands = fit.pieces[0].path.first(offsets)
+        x = np.where(self.solution.judgement.identified, fit.x, [p.origin for p in self.solution.sought])
+        commands = fit.pieces[0].path.first(offsets, fit.machine.constants(x))
         values |= {name: value for name, value in commands.items() if not name.startswith("servo.omega")}
         time = self.problem.record.series[0].time
         stop = round(time[-1] - time[0], 6) or 1.0
@@ -254,6 +255,7 @@ class Calibration:
             "notes": given.notes,
             "outliers": fit.outliers,
             "residuals_rad": {"before": fit.rms_before, "encoder": fit.sigma.tolist()},
+            "stages": [asdict(stage) for stage in fit.stages],
             "samples_as_one": judgement.together.time_scale,
             "unknowns": unknowns,
             "correlations": {p.name: judgement.correlation[k].tolist() for k, p in enumerate(self.solution.sought)},
@@ -275,6 +277,7 @@ class Calibration:
         scale = judgement.together.time_scale
         white = "they are white" if scale == 1.0 else f"{scale:.0f} of them count as one"
         lines.append(f"residuals {sigma} mrad (encoders 1, 2), {fit.outliers} outliers left out; {white}")
+        lines += [f"  {stage.sentence()}" for stage in fit.stages]
         lines += ["", f"  {'':28} {'scene':>12} {'found':>14} {'± 95 %':>11} {'bound 95 %':>11}"]
         for k, p in enumerate(self.solution.sought):
             first = (p.members or (p.name,))[0]
@@ -370,7 +373,7 @@ def solve(
             break
         if names := [p.name for p, known in zip(sought, judgement.identified, strict=True) if not known]:
             show(f"not identified: {', '.join(names)}; fitted once more with that as it is in the scene")
-        later = fitter.again(pins, held)
+        later = fitter.again(fit, pins, held)
         if not (np.all(fit.sigma < ALL_NOISE * fitter.noise) and np.any(later.sigma > CONTRADICTED * fit.sigma)):
             fit, judgement = later, _both(judgement, judge(later, sought, held))
         elif np.any(held < free):

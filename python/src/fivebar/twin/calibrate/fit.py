@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from fivebar.twin.calibrate import assumptions
 from fivebar.twin.calibrate.data import Data, Samples
 from fivebar.twin.calibrate.motion import LOST, Between, Machine, Path, Start
 from fivebar.twin.calibrate.parameters import DELAY
@@ -31,6 +32,9 @@ TIGHT: Final = 1e-11
 LOOSE: Final = 1e-8
 """Error tolerance per step of earlier runs, rad."""
 
+SHORT: Final = 0.01
+"""Step of a one-sided difference in units of `MOVED`, for runs at `TIGHT`: truncation of 1e-5 and errors of the runs of 1e-6 of the derivative."""
+
 STILL: Final = 1e-4
 """Maximum change of trajectories, rad, for which a fit reuses earlier derivatives."""
 
@@ -41,6 +45,9 @@ LEVELS: Final = (0.1, 0.5, 2.0)
 """Lengths of the pieces in the first fits, s; the last fit uses whole series, or `longest`. Over 0.1 s, even a fast motion on springs converges
 from the guessed start."""
 
+MANY: Final = 20
+"""Number of pieces of the second length from which only those of the shortest pieces are fitted that start one of them: they suffice to begin with."""
+
 FEWEST: Final = 20
 """Minimum number of samples in a piece."""
 
@@ -50,12 +57,19 @@ ALIKE: Final = 1e-3
 UNSOUND: Final = 30.0
 """Ratio of a piece's residuals to the median over all pieces, above which the start of the piece counts as not found."""
 
+VISIBLE: Final = 3e-4
+"""Residuals of the shortest pieces, rad, from which other assumptions are tried; below, effects that are not sought explain them as well."""
+
 ALL_NOISE: Final = 20.0
 """Ratio of residuals to `Fitter.noise` (a tenth of the encoder's noise), below which residuals are only noise: the fitted machine is right."""
 
 LOSES: Final = 3.0
-"""Ratio of the residuals of longer pieces to residuals of shorter ones, above which the fit has lost a chaotic motion. On `spring_payload`, residuals
+"""Ratio of the residuals of longer pieces to residuals of shorter ones, above which the fit has lost a chaotic motion; of a short piece to the
+median one, above which its assembly may be wrong. On `spring_payload`, residuals
 are 0.04 mrad over 2 s and 4 mrad over 10 s."""
+
+LIMIT: Final = 0.5
+"""Standard deviation, in sizes of an unknown, from which it counts as not identified: half of the scene's value."""
 
 BELIEVED: Final = 1.0
 """Prior standard deviation in sizes of each unknown for the first fit, which does not know yet what the record identifies."""
@@ -72,7 +86,40 @@ FEW: Final = 0.05
 DEEPEST: Final = 0.1
 """Longest fitted delay, s. If the delay is fitted, samples within this time after a start are not compared."""
 
+PINNED: Final = 1e4
+"""Weight of a combination of unknowns that keeps its value."""
+
 Show = Callable[[str], None]
+
+
+STAGES: Final = (
+    ("delay", (DELAY, "servo.delay")),
+    ("gravity", ("gravity.",)),
+    ("drives and friction", ("servo.", "torque.", "viscous.", "friction.")),
+    ("masses and geometry", ("",)),
+)
+"""Order in which unknowns are fitted to the shortest pieces, by the beginnings of their names; each stage keeps the unknowns of earlier ones."""
+
+EXPLAINS: Final = 0.9
+"""Ratio of residuals after and before a stage, above which its values are dropped: they may only compensate for what a later stage explains."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a stage of the fit explains and leaves."""
+
+    name: str
+    seconds: float
+    """Length of the pieces, s."""
+
+    before: float
+    """rms of the residuals in the median piece with the values of the stages before, rad."""
+
+    after: float
+
+    def sentence(self) -> str:
+        """The stage in words."""
+        return f"{self.name}, pieces of {self.seconds:g} s: residuals of {1e3 * self.before:.3g} mrad become {1e3 * self.after:.3g} mrad"
 
 
 class GivenUp(TwinError):
@@ -114,6 +161,8 @@ class Fit:
     rms_before: float
     """rms of the residuals with the values of the scene, rad, for short pieces with fitted starts."""
 
+    stages: list[Stage]
+
 
 class Fitter:
     """Runs the fits, from short to long pieces."""
@@ -128,8 +177,13 @@ class Fitter:
         self.evaluations = 0
         self.patience, self.ends = patience, time.process_time() + patience
         self.noise = least_noise(data)
-        self.known: tuple[tuple[int, bool], Array, list[Array]] | None = None
+        self.known: tuple[tuple[list[int], bool, bytes], Array, list[Array]] | None = None
         """Last computed derivatives: key of the fit, point and values."""
+        self.finished: tuple[Array, list[list[Array]]] | None = None
+        """Derivatives of the last finished fit, with one, two and four times the step: point and values."""
+        self.free = np.ones(len(machine.sought), dtype=bool)
+        """Unknowns that are fitted now; the others keep their values."""
+        self.stages: list[Stage] = []
         self.delayed = any(p.name == DELAY for p in self.sought)
 
     # --- pieces -----------------------------------------------------------------------------------------------------------------
@@ -156,11 +210,17 @@ class Fitter:
         """A piece with the given start."""
         return Piece(Path(samples, self.between, self.machine.library, self.period), start, self.compared(samples))
 
-    def first(self, x: Array, length: float) -> list[Piece]:
-        """Short pieces, with the assembly that fits. Their starts are guessed from their first samples, then fitted to all samples."""
+    def first(self, x: Array, lengths: list[float]) -> list[Piece]:
+        """Pieces of the first length, with the assembly that fits. Their starts are guessed from their first samples, then fitted to all samples.
+
+        If there are many pieces of the second length, only pieces that start one of them are taken.
+        """
         pieces: list[Piece] = []
+        begins = [samples.time[0] for samples in self.cut(lengths[min(1, len(lengths) - 1)])]
         side = int(self.machine.scene.get("init.assembly", 1))
-        for samples in self.cut(length):
+        for samples in self.cut(lengths[0]):
+            if len(begins) >= MANY and samples.time[0] not in begins:
+                continue
             state = guess(samples)
             costs = {}
             for assembly in (side, 3 - side):
@@ -244,9 +304,12 @@ class Fitter:
         return np.where(np.abs(gap) < 0.5 * LOST, wrapped(gap), np.pi * np.sign(gap))
 
     def derivatives(self, pieces: list[Piece], z: Array, times: float = 1.0, central: bool = True) -> list[Array]:
-        """d(encoder angles)/dz of each piece, (n, 2, p + 4): unknowns, then the start of the piece."""
+        """d(encoder angles)/dz of each piece, (n, 2, p + 4): unknowns, then the start of the piece.
+
+        `times`: size of the step, 1 for one that moves trajectories by `MOVED`.
+        """
         p = len(self.sought)
-        self.evaluations += (2 if central else 1) * (p + 4)
+        self.evaluations += (2 if central else 1) * (int(self.free.sum()) + 4)
         found = []
         for number, piece in enumerate(pieces):
             state = z[p + 4 * number : p + 4 * number + 4]
@@ -255,11 +318,15 @@ class Fitter:
             for j in range(p + 4):
                 step = times * self.step(j)
                 near = []
+                if j < p and not self.free[j]:
+                    columns.append(np.zeros_like(piece.path.samples.angles))
+                    continue
                 for sign in (1.0, -1.0) if central else (1.0,):
                     x, s = z[:p].copy(), state.copy()
                     if j < p:
-                        # At the bound of an unknown, the point moves inside: the unit refuses values beyond it.
-                        x[j] = max(x[j], self.sought[j].lowest + 4.01 * self.step(j)) + sign * step
+                        # At the bound of an unknown, the middle moves inside: the unit refuses values beyond the bound.
+                        middle = max(x[j], self.sought[j].lowest + 4.01 * self.step(j)) if central else x[j]
+                        x[j] = middle + sign * step
                     else:
                         s[j - p] += sign * step
                     near.append(self.motion(piece, x, s))
@@ -272,17 +339,20 @@ class Fitter:
 
     def recent(self, pieces: list[Piece], z: Array, final: bool) -> list[Array]:
         """Derivatives; reuses the last ones if the trajectories have hardly moved since."""
-        p = len(self.sought)
-        if self.known is not None and self.known[0] == (len(pieces), final):
-            moves = z - self.known[1]
-            parts = [
-                d @ np.concatenate([moves[:p], moves[p + 4 * k : p + 4 * k + 4]]) for k, d in enumerate(self.known[2])
-            ]
-            if max(float(np.max(np.abs(part))) for part in parts) < STILL * (1 if final else 10):
-                return self.known[2]
-        found = self.derivatives(pieces, z, central=final)
-        self.known = (len(pieces), final), z.copy(), found
+        key = ([len(piece.path.samples) for piece in pieces], final, self.free.tobytes())
+        still = STILL * (1 if final else 10)
+        if self.known and self.known[0] == key and self.moved(self.known[2], z - self.known[1]) < still:
+            return self.known[2]
+        # One-sided steps need to be short, for which only the final runs are accurate enough.
+        found = self.derivatives(pieces, z, SHORT if final else 1.0, central=False)
+        self.known = key, z.copy(), found
         return found
+
+    def moved(self, derivatives: list[Array], moves: Array) -> float:
+        """Largest change of the trajectories, rad, to first order."""
+        p = len(self.sought)
+        parts = [d @ np.concatenate([moves[:p], moves[p + 4 * k : p + 4 * k + 4]]) for k, d in enumerate(derivatives)]
+        return max(float(np.max(np.abs(part))) for part in parts)
 
     def step(self, j: int) -> float:
         """Step for column j; initially 1e-4 of the unknown's size, rad or rad/s."""
@@ -292,23 +362,33 @@ class Fitter:
         """Chooses steps that move trajectories by `MOVED`."""
         largest = np.max([np.max(np.abs(d), axis=(0, 1)) for d in derivatives], axis=0)
         for j, slope in enumerate(largest.tolist()):
+            if j < len(self.sought) and not self.free[j]:
+                continue
             self.steps[j] = min(max(MOVED / max(slope, 1e-12), 1e-8), 1e-2)
 
     # --- least squares ----------------------------------------------------------------------------------------------------------
 
     def solve(self, pieces: list[Piece], z: Array, sigma: Array, final: bool, prior: Array) -> Array:
-        """One fit; only the final one uses central differences. `prior`: rows of deviations from the scene, in standard deviations."""
+        """One fit. `prior`: rows of deviations from the scene, in standard deviations."""
         p = len(self.sought)
         origin = np.array([parameter.origin for parameter in self.sought])
         lowest = np.concatenate([[parameter.lowest for parameter in self.sought], np.full(len(z) - p, -np.inf)])
         z = np.maximum(z, lowest + 1e-9)
+        fitted = np.concatenate([self.free, np.ones(len(z) - p, dtype=bool)])
 
-        def residuals(z: Array) -> Array:
+        def whole(part: Array) -> Array:
+            every = z.copy()
+            every[fitted] = part
+            return every
+
+        def residuals(part: Array) -> Array:
             self.evaluations += 1
+            z = whole(part)
             rows = [(gap / sigma)[piece.mask] for piece, gap in zip(pieces, self.gaps(pieces, z), strict=True)]
             return np.concatenate([*rows, prior @ (z[:p] - origin)])
 
-        def jacobian(z: Array) -> Array:
+        def jacobian(part: Array) -> Array:
+            z = whole(part)
             blocks = [
                 -(d / sigma[:, None])[piece.mask]
                 for piece, d in zip(pieces, self.recent(pieces, z, final), strict=True)
@@ -320,29 +400,37 @@ class Fitter:
                 full[row : row + len(block), p + 4 * number : p + 4 * number + 4] = block[:, p:]
                 row += len(block)
             full[row:, :p] = prior
-            return full
+            return full[:, fitted]
 
         result = least_squares(
-            residuals, z, jac=jacobian, bounds=(lowest, np.inf), method="trf", x_scale="jac", xtol=1e-10, gtol=1e-12,
+            residuals, z[fitted], jac=jacobian, bounds=(lowest[fitted], np.inf), method="trf", x_scale="jac", xtol=1e-10, gtol=1e-12,
             ftol=1e-6 if final else 0.1, max_nfev=20 if final else 10,
         )  # fmt: skip
-        return np.asarray(result.x)
+        return whole(result.x)
 
     def run(self) -> Fit:
         """The first fit, from the values of the scene; it is not known yet which unknowns the record identifies."""
         return self._run(np.array([p.start for p in self.sought]), np.eye(len(self.sought)) / BELIEVED)
 
-    def again(self, pinned: Array, held: Array) -> Fit:
-        """A later fit, from the values of the scene.
+    def again(self, fit: Fit, pinned: Array, held: Array) -> Fit:
+        """A later fit. It begins where the derivatives of `fit` expect its end, or with the values of the scene if the motion is lost there.
 
         The combinations of unknowns in the rows of `pinned` keep their values in the scene. Each unknown has a prior at its value in the scene
         with standard deviation `held`, in sizes.
         """
+        p = len(self.sought)
+        prior = np.vstack([np.diag(1 / np.minimum(held, WEAK)), PINNED * pinned])
+        lowest = np.array([parameter.lowest for parameter in self.sought])
+        z = expected(fit, prior, np.array([parameter.origin for parameter in self.sought]))
+        z[:p] = np.maximum(z[:p], lowest)
+        near = unpack(z, fit.pieces, p)
+        if all(self.off(piece, z[:p]) < IN_SIGHT for piece in near):
+            z, outliers = self.settle(near, z, True, prior)
+            return self.finish(near, z, outliers, fit.rms_before)
         origin = np.array([parameter.origin for parameter in self.sought])
         x = np.array([parameter.start for parameter in self.sought])
         x -= np.linalg.pinv(pinned) @ pinned @ (x - origin)
-        x = np.maximum(x, [parameter.lowest for parameter in self.sought])
-        return self._run(x, np.vstack([np.diag(1 / np.minimum(held, WEAK)), 1e4 * pinned]))
+        return self._run(np.maximum(x, lowest), prior)
 
     def _run(self, x: Array, prior: Array) -> Fit:
         """Runs all levels and the final fit."""
@@ -371,19 +459,27 @@ class Fitter:
         if self.delayed:
             # In shorter pieces, hardly any sample would be compared.
             lengths = [length for length in lengths if length > 2 * DEEPEST]
-        pieces = self.first(x, lengths[0])
+        pieces = self.first(x, lengths)
         z, left, before = pack(x, pieces), np.full(2, np.inf), 0.0
+        self.stages = []
         for length in lengths:
             longer = self.sound(self.joined(pieces, x, length), x)
             begin = pack(x, longer)
             sigma = np.maximum(spread(self.gaps(longer, begin), longer), self.noise)
             # The shortest pieces show little of the machine, because each has its own start.
             before = before if length > max(lengths[:2]) else float(np.mean(sigma))
-            self.show(
-                f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit"
-            )
-            end, _ = self.settle(longer, begin, False, prior)
+            if length == lengths[0]:
+                longer, end = self.explain(longer, begin, prior, length)
+            else:
+                end = self.stage("all unknowns", longer, begin, prior, length)
+                if length == lengths[1] and (told := self.told(longer, end)) < p:
+                    self.show(
+                        f"these pieces tell {told} of {p} combinations of the unknowns: whole series may tell more, "
+                        "but with fewer unknowns (--parameters) each value would be told better"
+                    )
             found = spread(self.gaps(longer, end), longer)
+            if length == lengths[0]:
+                self.doubt(len(longer), found, prior, lengths)
             if np.all(left < ALL_NOISE * self.noise) and np.any(found > LOSES * left):
                 self.show("the motion is chaotic over pieces of this length: shorter ones stay")
                 break
@@ -393,12 +489,108 @@ class Fitter:
         self.machine.tolerance(TIGHT)
         return pieces, z, before
 
+    def explain(self, pieces: list[Piece], z: Array, prior: Array, length: float) -> tuple[list[Piece], Array]:
+        """Fits the unknowns stage by stage; the last stage fits all of them. Returns the pieces, with the assemblies that fit best, and the solution."""
+        p = len(self.sought)
+        stages = [
+            next(k for k, (_, words) in enumerate(STAGES) if parameter.name.startswith(words))
+            for parameter in self.sought
+        ]
+        self.free[:] = False
+        for k in sorted(set(stages)):
+            self.free |= np.array(stages) == k
+            whole = bool(self.free.all())
+            if not whole and np.all(spread(self.gaps(pieces, z), pieces) < ALL_NOISE * self.noise):
+                continue
+            end = self.stage(STAGES[k][0], pieces, z, prior, length)
+            if whole or self.stages[-1].after < EXPLAINS * self.stages[-1].before:
+                pieces = self.other_side(unpack(end, pieces, p), end[:p])
+                z = pack(end[:p], pieces)
+        return pieces, z
+
+    def other_side(self, pieces: list[Piece], x: Array) -> list[Piece]:
+        """Pieces with much larger residuals than most start in the other assembly if it fits better: with wrong unknowns, the choice was uncertain."""
+        off = [self.off(piece, x) for piece in pieces]
+        found = []
+        for piece, residual in zip(pieces, off, strict=True):
+            if residual > LOSES * float(np.median(off)):
+                start = Start(guess(piece.path.samples), 3 - piece.start.assembly)
+                other = self.begun(Piece(piece.path, start, piece.mask), x)
+                piece = other if self.off(other, x) < residual else piece
+            found.append(piece)
+        return found
+
+    def told(self, pieces: list[Piece], z: Array) -> int:
+        """Number of combinations of the unknowns that the pieces determine to `LIMIT`, by the last derivatives."""
+        p = len(self.sought)
+        sigma = np.maximum(spread(self.gaps(pieces, z), pieces), self.noise)
+        rows = []
+        for piece, derivative in zip(pieces, self.recent(pieces, z, False), strict=True):
+            block = (derivative / sigma[:, None])[piece.mask]
+            own, starts = block[:, :p], block[:, p:] / np.maximum(np.linalg.norm(block[:, p:], axis=0), 1e-300)
+            rows.append(own - starts @ np.linalg.lstsq(starts, own, rcond=1e-9)[0])
+        return int(np.sum(np.linalg.svd(np.vstack(rows), compute_uv=False) > 1 / LIMIT))
+
+    def doubt(self, count: int, left: Array, prior: Array, lengths: list[float]) -> None:
+        """Raises `TwinError` if another assumption explains the `count` shortest pieces far better than the fit, which leaves `left`, rad."""
+        if np.all(left < np.maximum(VISIBLE, 2 * ALL_NOISE * self.noise)):
+            return
+        if sentence := assumptions.held(self.data, left):
+            raise TwinError(sentence)
+        others = list(assumptions.others(self.machine.scene, self.data.series[0].names))
+        best = others[int(np.argmin([self.under(other, count, prior, lengths, False) for other in others]))]
+        found = self.under(best, count, prior, lengths, True)
+        if found < assumptions.SURE * float(np.mean(left)):
+            raise TwinError(
+                f"{best.sentence}: over pieces of {lengths[0]:g} s, residuals are {1e3 * found:.2g} mrad with this change, "
+                f"and {1e3 * float(np.mean(left)):.2g} mrad without it"
+            )
+
+    def under(
+        self, other: assumptions.Assumption, count: int, prior: Array, lengths: list[float], fitted: bool
+    ) -> float:
+        """Residuals of the shortest pieces under another assumption, rad, with the scene's values or with fitted ones; infinite if it fits few."""
+        machine = Machine(self.machine.library, self.machine.scene | other.scene, self.sought)
+        machine.tolerance(LOOSE)
+        data = Data([other.samples(series) for series in self.data.series], [])
+        fitter = Fitter(machine, data, self.between, self.longest, lambda _: None, self.ends - time.process_time())
+        x = np.array([parameter.start for parameter in self.sought])
+        try:
+            pieces = fitter.first(x, lengths)
+            z = pack(x, pieces)
+            if fitted:
+                z = fitter.stage("", pieces, z, prior, lengths[0])
+            return float(np.mean(spread(fitter.gaps(pieces, z), pieces))) if 2 * len(pieces) > count else math.inf
+        except GivenUp:
+            raise
+        except TwinError:
+            return math.inf
+        finally:
+            machine.close()
+
+    def stage(self, name: str, pieces: list[Piece], z: Array, prior: Array, length: float) -> Array:
+        """Fits the free unknowns, and notes what that explains."""
+        gaps = self.gaps(pieces, z)
+        self.leave_out(pieces, gaps, np.full(2, np.inf))
+        before = rms(gaps, pieces)
+        end, _ = self.settle(pieces, z, False, prior)
+        after = rms(self.gaps(pieces, end), pieces)
+        self.stages.append(Stage(name, min(length, self.span()), before, after))
+        self.show(self.stages[-1].sentence())
+        return end
+
     def finish(self, pieces: list[Piece], z: Array, outliers: int, rms_before: float) -> Fit:
         """Residuals, derivatives and the error of the derivatives at the solution."""
         p = len(self.sought)
         gaps = self.gaps(pieces, z)
-        # All three are computed at the same point; reused derivatives would look like errors.
-        one, two, four = (self.derivatives(pieces, z, times) for times in (1.0, 2.0, 4.0))
+        # All three belong to the same point: otherwise, the distance of the points would look like an error.
+        if (
+            self.finished is None
+            or len(z) != len(self.finished[0])
+            or self.moved(self.finished[1][0], z - self.finished[0]) > STILL
+        ):
+            self.finished = z.copy(), [self.derivatives(pieces, z, times) for times in (1.0, 2.0, 4.0)]
+        one, two, four = self.finished[1]
         size = sum(int(piece.mask.sum()) for piece in pieces)
         jacobian, doubt = np.zeros((size, len(z))), np.zeros((size, len(z)))
         rows = np.zeros((size, 3), dtype=int)
@@ -430,6 +622,7 @@ class Fitter:
             outliers,
             self.evaluations,
             rms_before,
+            self.stages,
         )
 
     def leave_out(self, pieces: list[Piece], gaps: list[Array], sigma: Array) -> int:
@@ -453,6 +646,17 @@ class Fitter:
     def span(self) -> float:
         """Duration of the longest series, s."""
         return max(float(series.time[-1] - series.time[0]) for series in self.data.series)
+
+
+def expected(fit: Fit, prior: Array, origin: Array) -> Array:
+    """Unknowns and starts of the least squares with another prior, to first order; `prior` as in `Fitter.solve`."""
+    p = len(fit.x)
+    weights = 1 / fit.sigma[fit.rows[:, 2]]
+    gaps = np.array([fit.residuals[piece][row, encoder] for piece, row, encoder in fit.rows.tolist()])
+    jacobian = np.vstack([fit.jacobian * weights[:, None], np.pad(prior, ((0, 0), (0, fit.jacobian.shape[1] - p)))])
+    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    step = np.linalg.lstsq(jacobian / scale, np.concatenate([gaps * weights, prior @ (origin - fit.x)]), rcond=None)[0]
+    return np.asarray(pack(fit.x, fit.pieces) + step / scale)
 
 
 def least_noise(data: Data) -> Array:
@@ -527,6 +731,12 @@ def spread(gaps: list[Array], pieces: list[Piece]) -> Array:
         values = np.concatenate([np.abs(gap[:, i][piece.mask[:, i]]) for gap, piece in zip(gaps, pieces, strict=True)])
         found.append(1.4826 * float(np.median(values)) if len(values) else 0.0)
     return np.array(found)
+
+
+def rms(gaps: list[Array], pieces: list[Piece]) -> float:
+    """Root mean square of the residuals in the median piece, rad, because a few short pieces may have wrong starts."""
+    squares = [np.mean(gap[piece.mask] ** 2) for gap, piece in zip(gaps, pieces, strict=True) if piece.mask.any()]
+    return math.sqrt(float(np.median(squares)))
 
 
 def wrapped(angle: Array) -> Array:

@@ -12,12 +12,9 @@ from typing import Final
 import numpy as np
 from scipy.stats import norm
 
-from fivebar.twin.calibrate.fit import WEAK, Fit
+from fivebar.twin.calibrate.fit import LIMIT, WEAK, Fit
 from fivebar.twin.calibrate.parameters import Parameter
 from fivebar.twin.recording import Array
-
-LIMIT: Final = 0.5
-"""Standard deviation, in sizes of an unknown, from which it counts as not identified: half of the scene's value."""
 
 COMES_AGAIN: Final = 0.3
 """Autocorrelation from which residuals count as periodic."""

@@ -1,7 +1,9 @@
 """Runs of the unit with the drive commands of a series: predicted encoder angles for given unknowns and a given start."""
 
 from collections.abc import Sequence
+from ctypes import c_double
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -12,7 +14,7 @@ from fivebar.instance import Unit
 from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin.calibrate.data import Samples
-from fivebar.twin.calibrate.parameters import DELAY, Parameter, Values, assemble
+from fivebar.twin.calibrate.parameters import CONSTANTS, DELAY, Parameter, Values, assemble
 from fivebar.twin.recording import Array
 
 METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 2000}
@@ -57,15 +59,23 @@ class Path:
         self.commands = commands
         self.turned = np.array([[float(name == f"servo.theta[{i}]") for name in samples.names] for i in (1, 2)])
         """(2, m): 1 if a command is the servo angle of a motor."""
-        self.slopes: list[list[float]] = slopes.tolist()
+        self.torques = np.array([[float(name == f"tau[{i}]") for name in samples.names] for i in (1, 2)])
+        """(2, m): 1 if a command is the torque of a motor."""
+        self.slopes = slopes
+        """(knots - 1, m): rates of the commands after each knot but the last."""
+        self.ramps = [any(rates) for rates in slopes.tolist()]
 
-    def true(self, offsets: Array) -> Array:
-        """Drive commands at the knots, with servo angles as true angles: a servo closes its loop on the encoder, which includes the offset."""
-        return np.asarray(self.commands - offsets @ self.turned)
+    def true(self, offsets: Array, constants: Array) -> tuple[Array, Array]:
+        """Drive commands at the knots, and their rates.
 
-    def first(self, offsets: Array) -> Values:
+        Servo angles become true angles: a servo closes its loop on the encoder, which includes the offset. Torques are multiplied by their constants.
+        """
+        factors = 1.0 + (constants - 1.0) @ self.torques
+        return np.asarray((self.commands - offsets @ self.turned) * factors), np.asarray(self.slopes * factors)
+
+    def first(self, offsets: Array, constants: Array) -> Values:
         """The first commands, by name."""
-        return dict(zip(self.samples.names, self.true(offsets)[0].tolist(), strict=True))
+        return dict(zip(self.samples.names, self.true(offsets, constants)[0][0].tolist(), strict=True))
 
 
 def with_lost(time: Array, period: float) -> tuple[Array, Array]:
@@ -92,12 +102,45 @@ def told(time: Array, commands: Array, names: tuple[str, ...], knots: Array) -> 
     return found
 
 
+class Player(Unit):
+    """A unit that plays whole series. Commands and motion pass as arrays: one Python object per number takes half the time of a run."""
+
+    def play(self, path: Path, commands: Array, slopes: Array, motion: Array) -> None:
+        """Steps from the first knot to the last one with commands, (knots, m), and their rates; fills `motion`, (knots, 4), from its second row on."""
+        functions, component, times = self._functions, self._component, path.knots.tolist()
+        shown, count = self.library.blocks(SHOWN)[0].references, len(SHOWN)
+        rows = (c_double * count * len(motion)).from_buffer(motion.data)
+        [block] = path.inputs or [None]
+        if block is not None:
+            inputs = len(block.references)
+            told = (block.values * len(commands)).from_buffer(commands.data)
+            rates = (block.values * len(slopes)).from_buffer(slopes.data)
+        with self._lock:
+            for k, (time, end) in enumerate(pairwise(times)):
+                # fmi2OK and fmi2Warning are 0 and 1.
+                failed = block is not None and (
+                    functions.fmi2SetReal(component, block.references, inputs, told[k]) > 1
+                    or path.ramps[k]
+                    and functions.fmi2SetRealInputDerivatives(
+                        component, block.references, inputs, block.orders, rates[k]
+                    )
+                    > 1
+                )
+                if (
+                    failed
+                    or functions.fmi2DoStep(component, time, end - time, 1) > 1
+                    or functions.fmi2GetReal(component, shown, count, rows[k + 1]) > 1
+                ):
+                    raise UnitError(self._sentence(f"the unit failed at {time:g} s"))
+                self._time = end
+
+
 class Machine:
     """An instance of the unit for repeated runs."""
 
     def __init__(self, library: Library, scene: Values, sought: Sequence[Parameter]):
         self.library, self.scene, self.sought = library, scene | METHOD, sought
-        self.unit = Unit.of(library, "calibrate")
+        self.unit = Player.of(library, "calibrate")
         self.runs = 0
         self.failure = ""
         """Reason of the last failure."""
@@ -113,20 +156,14 @@ class Machine:
         values = assemble(self.scene, self.library, self.sought, x.tolist())
         values |= {f"init.{name}": value for name, value in zip(SHOWN, start.state.tolist(), strict=True)}
         values["init.assembly"] = start.assembly
-        unit, offsets = self.unit, self.offsets(x)
-        commands = path.true(offsets).tolist()
-        times = path.knots.tolist()
+        unit, offsets, constants = self.unit, self.offsets(x), self.constants(x)
         try:
-            started = {name: value for name, value in values.items() if name not in OFFSETS} | path.first(offsets)
-            unit.reset(times[0], **started)
+            started = {name: value for name, value in values.items() if name not in OFFSETS} | path.first(
+                offsets, constants
+            )
+            unit.reset(float(path.knots[0]), **started)
             out[0] = unit.numbers(SHOWN)
-            for k, time in enumerate(times[1:]):
-                for block in path.inputs:
-                    unit.write(block, commands[k])
-                    if any(path.slopes[k]):
-                        unit.write_rates(block, path.slopes[k])
-                unit.step_to(time)
-                out[k + 1] = unit.numbers(SHOWN)
+            unit.play(path, *path.true(offsets, constants), out)
             (assembly,) = unit.numbers(("mode.assembly",))
         except UnitError as error:
             self.failure = str(error)
@@ -139,13 +176,20 @@ class Machine:
         return angles
 
     def added(self, x: Array) -> dict[str, float]:
-        """The fitted offsets, rad, and delay, s, of the encoders."""
+        """The fitted offsets, rad, and delay, s, of the encoders, and torque constants."""
         return {p.name: p.value(number)[0] for p, number in zip(self.sought, x.tolist(), strict=True) if not p.members}
 
     def offsets(self, x: Array) -> Array:
         """(2): encoder reading minus true angle, rad; from the scene unless fitted."""
         added = self.scene | self.added(x)
         return np.array([float(added.get(name, 0.0)) for name in OFFSETS])
+
+    def constants(self, x: Array) -> Array:
+        """(2): torque of each motor over the recorded one."""
+        found = np.ones(2)
+        for name, value in self.added(x).items():
+            found[list(CONSTANTS.get(name, ()))] = value
+        return found
 
     def close(self) -> None:
         """Frees the unit."""

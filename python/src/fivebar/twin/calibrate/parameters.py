@@ -1,10 +1,11 @@
-"""Unknowns of a calibration: parameters of the unit by name, also several in one proportion, and offsets and delay of encoders.
+"""Unknowns of a calibration: parameters of the unit by name, also several in one proportion, offsets and delay of encoders, torque constants.
 
 `link[1,4].mass` is one unknown: a common factor on both masses. Each unknown is a scaled number `x`; at the scene's value it is 1 (for a
 factor) or 0 (for an addition). A link's inertia changes in proportion to its mass. With its length, the centre of mass changes in
 proportion and the inertia with the square. Breakaway friction changes with Coulomb friction.
 """
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,8 +24,15 @@ DELAY: Final = "encoder.delay"
 ADDITIONS: Final = {**dict.fromkeys(OFFSETS, ("rad", 0.2)), DELAY: ("s", 0.02)}
 """Unknowns of the measurement, which are not parameters of the unit: SI unit, and typical upper size."""
 
+CONSTANT: Final = "torque.constant"
+CONSTANTS: Final = {CONSTANT: (0, 1), **{f"{CONSTANT}[{i + 1}]": (i,) for i in (0, 1)}}
+"""Torque of a motor over the recorded `tau`, with the indices of the motors: N.m/A if the record has currents."""
+
 MUCH_ANGLE: Final = 0.2
 """Typical upper size of an unknown angle, rad."""
+
+UPRIGHT: Final = 0.05
+"""rad: a machine that stands at least this upright starts tilted by half of `MUCH_ANGLE`, so that derivatives against its tilt are not 0."""
 
 SWITCHES: Final = {
     "payload": "payload.enabled",
@@ -61,7 +69,7 @@ class Parameter:
     name: str
     unit: str
     members: tuple[str, ...]
-    """Variables of the unit; empty for offsets and delay of encoders."""
+    """Variables of the unit; empty for offsets and delay of encoders, and for torque constants."""
 
     base: tuple[float, ...]
     """Their values at x = 1 (factor) or x = 0 (addition)."""
@@ -98,10 +106,10 @@ class Asked:
     """A participle: `sought`."""
 
     examples: tuple[str, ...]
-    """Examples of allowed names; offsets and delay of encoders are only allowed if they are among them."""
+    """Examples of allowed names; offsets and delay of encoders and torque constants are only allowed if they are among them."""
 
 
-SOUGHT: Final = Asked("sought", (*USUAL, DELAY))
+SOUGHT: Final = Asked("sought", (*USUAL, DELAY, CONSTANT))
 
 
 def parameters(names: Sequence[str], library: Library, scene: Values, asked: Asked = SOUGHT) -> list[Parameter]:
@@ -109,7 +117,8 @@ def parameters(names: Sequence[str], library: Library, scene: Values, asked: Ask
     found = [_parameter(name, library, scene, asked) for name in names]
     seen: dict[str, str] = {}
     for parameter in found:
-        for member in parameter.members or (parameter.name,):
+        motors = [f"{CONSTANT}[{i + 1}]" for i in CONSTANTS.get(parameter.name, ())]
+        for member in parameter.members or motors or (parameter.name,):
             if member in seen:
                 raise TwinError(f"{member} is {asked.done} twice: in {seen[member]} and in {parameter.name}")
             seen[member] = parameter.name
@@ -134,12 +143,17 @@ def _parameter(name: str, library: Library, scene: Values, asked: Asked) -> Para
     if name in ADDITIONS and name in asked.examples:
         unit, size = ADDITIONS[name]
         return Parameter(name, unit, (), (float(scene.get(name, 0.0)),), False, size, -10.0, 0.0)
+    if name in CONSTANTS and CONSTANT in asked.examples:
+        # A negative constant says that the sign is wrong.
+        return Parameter(name, "N.m/A", (), (1.0,), True, 1.0, -1e3, 1.0)
     members = _members(name, library, asked)
     first = library.variable(members[0])
     unit = first.unit or getattr(first.declaredType, "unit", None) or "1"
     base = tuple(float(scene.get(member, library.variable(member).start)) for member in members)
     if unit == "rad":
-        return Parameter(name, unit, members, base, False, MUCH_ANGLE, -20.0, 0.0)
+        # The weight in the plane does not depend on small tilts of an upright machine, and is the same on both sides.
+        upright = name == "gravity.tilt" and abs(math.cos(base[0])) < UPRIGHT
+        return Parameter(name, unit, members, base, False, MUCH_ANGLE, -20.0, -0.5 if upright else 0.0)
     switch = SWITCHES.get(name.partition(".")[0])
     off = switch is not None and not scene.get(switch, False)
     if off or not any(base):

@@ -17,8 +17,8 @@ from fivebar import kinematics
 from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin.calibrate.data import Data, Samples
-from fivebar.twin.calibrate.fit import TIGHT, Fitter, Piece, pack
-from fivebar.twin.calibrate.identify import LIMIT, without_starts
+from fivebar.twin.calibrate.fit import LIMIT, TIGHT, Fitter, Piece, pack
+from fivebar.twin.calibrate.identify import without_starts
 from fivebar.twin.calibrate.motion import LOST, Machine, Path, Start
 from fivebar.twin.calibrate.parameters import Parameter, Values
 from fivebar.twin.recording import Array
