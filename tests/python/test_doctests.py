@@ -2,16 +2,21 @@
 
 import doctest
 import importlib
+import inspect
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import pytest
 
 import fivebar
+from fivebar import kinematics
 
 MODULES = (
     "fivebar",
     "fivebar.errors",
+    "fivebar.instance",
     "fivebar.kinematics",
     "fivebar.result",
     "fivebar.scene",
@@ -33,6 +38,35 @@ def test_examples_in_docstrings_run(name: str) -> None:
         importlib.import_module(name), optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     )
     assert failed == 0 < tried
+
+
+def functions() -> Iterator[tuple[str, Callable[..., Any]]]:
+    """The functions of `fivebar` and of its kinematics, and the methods of the classes that `fivebar` offers, by name."""
+    for name in fivebar.__all__:
+        offered = getattr(fivebar, name)
+        if not inspect.isclass(offered):
+            yield name, offered
+            continue
+        for member in dir(offered):
+            method = getattr(offered, member)
+            # Not what dict and ValueError have.
+            if not member.startswith("_") and inspect.isroutine(method) and hasattr(method, "__code__"):
+                yield f"{name}.{member}", method
+    yield from ((name, getattr(kinematics, name)) for name in ("mode_name", "sines"))
+
+
+@pytest.mark.parametrize(("name", "function"), list(functions()))
+def test_functions_have_all_sections(name: str, function: Callable[..., Any]) -> None:
+    """Parameters if there are any, what is returned, and an example, in the style of numpy."""
+    written = inspect.getdoc(function) or ""
+    signature = inspect.signature(function)
+    wanted = {"Examples"}
+    if [parameter for parameter in signature.parameters if parameter != "self"]:
+        wanted.add("Parameters")
+    if signature.return_annotation not in (None, "None"):
+        wanted.add("Returns")
+    missing = [title for title in sorted(wanted) if f"\n{title}\n{'-' * len(title)}\n" not in written]
+    assert not missing, name
 
 
 def test_what_the_package_offers_is_documented_and_has_an_example() -> None:

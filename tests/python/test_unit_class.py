@@ -1,6 +1,5 @@
 """`fivebar.Unit`: names, values, steps, states, derivatives, messages and errors of a live unit."""
 
-import doctest
 import gc
 import logging
 import math
@@ -36,22 +35,6 @@ def packed(fmu: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def bits(unit: Unit) -> list[float]:
     """All that is computed."""
     return unit.numbers(tuple(v.name for v in unit.variables.values() if v.causality in ("output", "local")))
-
-
-@pytest.mark.parametrize("module", [instance])
-def test_examples_of_the_docs(module: object) -> None:
-    assert doctest.testmod(module, optionflags=doctest.ELLIPSIS).failed == 0
-
-
-def test_every_public_member_has_an_example() -> None:
-    for kind in (Unit, instance.State):
-        members = {**vars(instance.Instance), **vars(kind)} if kind is Unit else vars(kind)
-        public = [name for name in members if not name.startswith("_")]
-        found = doctest.DocTestFinder(recurse=False)
-        own = ("close", "call", "write", "read", "numbers", "floats", "initialise", "write_rates", "of", "time")
-        for name in public:
-            if name not in own:
-                assert found.find(getattr(kind, name), name, globs={})[0].examples, f"{kind.__name__}.{name}"
 
 
 def test_what_is_pickled_of_another_unit_is_refused(fmu: Path, tmp_path: Path) -> None:

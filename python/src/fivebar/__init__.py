@@ -100,6 +100,11 @@ def unit(
     folder
         Where it is written, the current folder unless given.
 
+    Returns
+    -------
+    pathlib.Path
+        The .fmu.
+
     Raises
     ------
     FiveBarError
@@ -125,7 +130,12 @@ def unit(
 
 
 def scenes() -> dict[str, str]:
-    """The shipped scenes: name to description.
+    """The shipped scenes.
+
+    Returns
+    -------
+    dict of str to str
+        The description of each scene by its name.
 
     Examples
     --------
@@ -169,6 +179,11 @@ def run(
         returned, and its `failure` says why.
     **values
         Start values by variable, in the variable's unit, enumerations by the names of their items.
+
+    Returns
+    -------
+    Result
+        Columns by name, shape (n,), one row for each communication point.
 
     Raises
     ------
@@ -228,6 +243,16 @@ def run_many(
         How many processes, as many as there are processors unless given; with 1 all runs are in this process.
     progress
         Whether a line on standard error says how many runs are done.
+
+    Returns
+    -------
+    list of Result
+        One result for each run; or what `reduce` returns, or with `on_failure="return"` the error of a run that failed.
+
+    Raises
+    ------
+    FiveBarError
+        If a scene, a value or an argument is refused; `StepFailed` if a run ends early.
 
     Examples
     --------

@@ -79,13 +79,39 @@ class Instance:
         self.close()
 
     def close(self) -> None:
-        """Frees the unit. Later calls raise FiveBarError; a second `close` does nothing."""
+        """Frees the unit. Later calls raise FiveBarError; a second `close` does nothing.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> unit = Unit()
+        >>> unit.close()
+        """
         with self._lock:
             self._component = None
             self._free()
 
     def call(self, function: str, *arguments: Any) -> None:
-        """Calls a C function of FMI with the instance and the arguments. Raises UnitError if the status is worse than a warning."""
+        """Calls a C function of FMI.
+
+        Parameters
+        ----------
+        function : str
+            Name of the function.
+        *arguments
+            Its arguments after the instance, as ctypes takes them.
+
+        Raises
+        ------
+        UnitError
+            If its status is worse than a warning. The text is the unit's sentence.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.call("fmi2Terminate")
+        """
         with self._lock:
             if self._component is None:
                 raise FiveBarError("the unit is closed")
@@ -138,17 +164,84 @@ class Instance:
         return found
 
     def write(self, block: Block, numbers: Iterable[Value]) -> None:
-        """Sets the variables of a block; enumerations are numbers."""
+        """Sets the variables of a block; enumerations are numbers.
+
+        Parameters
+        ----------
+        block : Block
+            Variables of one type, from `library.blocks`.
+        numbers : iterable of float, int or bool
+            Their values.
+
+        Raises
+        ------
+        FiveBarError
+            If the unit refuses a value.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     (block,) = unit.library.blocks(("tau[1]", "tau[2]"))
+        ...     unit.write(block, (0.01, 0.0))
+        """
         self.call(block.setter, block.references, len(block.references), block.values(*numbers))
 
     def read(self, block: Block) -> Any:
-        """Reads the variables of a block into a new ctypes array."""
+        """Reads the variables of a block.
+
+        Parameters
+        ----------
+        block : Block
+            Variables of one type, from `library.blocks`.
+
+        Returns
+        -------
+        ctypes.Array
+            A new array of their values.
+
+        Raises
+        ------
+        FiveBarError
+            If a value is not defined now.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     (block,) = unit.library.blocks(("tau[1]", "tau[2]"))
+        ...     list(unit.read(block))
+        [0.0, 0.0]
+        """
         values = block.values()
         self.call(block.getter, block.references, len(block.references), values)
         return values
 
     def numbers(self, names: tuple[str, ...]) -> list[Value]:
-        """Reads variables as numbers: an enumeration is the number of its item, a Boolean 0 or 1."""
+        """Reads variables as numbers.
+
+        Parameters
+        ----------
+        names : tuple of str
+            Variables.
+
+        Returns
+        -------
+        list of float, int or bool
+            An enumeration is the number of its item, a Boolean 0 or 1.
+
+        Raises
+        ------
+        FiveBarError
+            If there is no such variable, or its value is not defined now.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.numbers(("solver.method", "viscous.enabled", "tau[1]"))
+        [1, 0, 0.0]
+        """
         blocks = self.library.blocks(names)
         if len(blocks) == 1:
             return list(self.read(blocks[0]))
@@ -159,11 +252,52 @@ class Instance:
         return found
 
     def floats(self, names: tuple[str, ...]) -> dict[str, float]:
-        """Reads variables as floats by name; an enumeration is the number of its item."""
+        """Reads variables as floats.
+
+        Parameters
+        ----------
+        names : tuple of str
+            Variables.
+
+        Returns
+        -------
+        dict of str to float
+            Values by name; an enumeration is the number of its item.
+
+        Raises
+        ------
+        FiveBarError
+            If there is no such variable, or its value is not defined now.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.floats(("tau[1]", "tau[2]"))
+        {'tau[1]': 0.0, 'tau[2]': 0.0}
+        """
         return dict(zip(names, map(float, self.numbers(names)), strict=True))
 
     def initialise(self, time: float) -> None:
-        """Initialises the unit at a time, s."""
+        """Initialises a unit that was instantiated or reset by a call; `Unit.reset` does it with start values.
+
+        Parameters
+        ----------
+        time : float
+            Start time, s.
+
+        Raises
+        ------
+        FiveBarError
+            If the unit refuses its start.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.call("fmi2Reset")
+        ...     unit.initialise(0.0)
+        """
         self.call("fmi2SetupExperiment", fmi2.fmi2False, 0.0, time, fmi2.fmi2False, 0.0)
         self.call("fmi2EnterInitializationMode")
         self.call("fmi2ExitInitializationMode")
@@ -217,7 +351,32 @@ class Unit(Instance):
 
     @classmethod
     def of(cls, library: Library, name: str = "unit") -> Self:
-        """An instance that is not yet initialised: call `reset` or `restore` first."""
+        """A unit of any .fmu that is not yet initialised: call `reset` or `restore` first.
+
+        Parameters
+        ----------
+        library : Library
+            The extracted .fmu.
+        name : str, optional
+            Name of the instance in messages.
+
+        Returns
+        -------
+        Unit
+            The unit.
+
+        Raises
+        ------
+        FiveBarError
+            If it cannot be instantiated.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> from fivebar.library import Library
+        >>> with fivebar.Unit.of(Library(fivebar.unit())) as unit:
+        ...     unit.reset()
+        """
         unit = cls.__new__(cls)
         unit._open(library, name, None, {})
         return unit
@@ -355,7 +514,27 @@ class Unit(Instance):
             self.write_rates(block, numbers.values())
 
     def write_rates(self, block: Block, rates: Iterable[float]) -> None:
-        """Sets the first derivatives of a block of inputs for the next step."""
+        """Sets the first derivatives of a block of inputs for the next step.
+
+        Parameters
+        ----------
+        block : Block
+            Real inputs, from `library.blocks`.
+        rates : iterable of float
+            Derivatives, in the input's unit per second.
+
+        Raises
+        ------
+        FiveBarError
+            If the unit refuses them.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     (block,) = unit.library.blocks(("tau[1]", "tau[2]"))
+        ...     unit.write_rates(block, (0.5, 0.0))
+        """
         count = len(block.references)
         self.call("fmi2SetRealInputDerivatives", block.references, count, block.orders, block.values(*rates))
 

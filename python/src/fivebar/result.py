@@ -161,12 +161,22 @@ class Result(dict[str, np.ndarray]):
         return events.find(self.own, self.singularities)
 
     def between(self, begin: float, end: float) -> "Result":
-        """The rows from `begin` to `end`, s, both included.
+        """The rows between two times, both included.
+
+        Parameters
+        ----------
+        begin, end : float
+            Times, s.
+
+        Returns
+        -------
+        Result
+            The part of the run.
 
         Raises
         ------
         FiveBarError
-            If there is no communication point between them.
+            If a time is no number, or there is no communication point between them.
 
         Examples
         --------
@@ -189,7 +199,21 @@ class Result(dict[str, np.ndarray]):
         return replace(self, runs=runs)
 
     def summary(self) -> str:
-        """The summary that the command prints: tracking, torques and stops of the motors; final tip position, steps, times, errors, singularities."""
+        """The summary that the command prints.
+
+        Returns
+        -------
+        str
+            Tracking, torques and stops of the motors; final tip position, steps, times, errors and singularities.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> swing = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y"))
+        >>> print(swing.summary())
+        swing: ...
+          tip at the end ...
+        """
         blocks = ["\n".join([f"{self.scene.name}: {self.scene.description}", *summary.assumed(self.scene)])]
         for i, run in enumerate(self.runs):
             values = next(variant.values for variant in self.scene.variants if variant.label == run.label)
@@ -203,9 +227,31 @@ class Result(dict[str, np.ndarray]):
         return "\n\n".join(blocks + self.refused)
 
     def plot(self, *names: str) -> "Plot":
-        """Plots columns over time, by default tip, motor angles and rates. Columns with the same unit share axes.
+        """Plots columns over time; columns with the same unit share axes.
 
         A notebook shows the figure. Elsewhere `result.plot().show()` opens a window, and `.savefig(file)` writes a file.
+
+        Parameters
+        ----------
+        *names : str
+            Columns; the default are tip, motor angles and rates.
+
+        Returns
+        -------
+        Plot
+            The figure of matplotlib.
+
+        Raises
+        ------
+        FiveBarError
+            If there is no such column.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> swing = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y"))
+        >>> figure = swing.plot("tip.x", "tip.y")
+        >>> figure.savefig("tip.svg")
         """
         from fivebar import pictures
 
@@ -216,7 +262,25 @@ class Result(dict[str, np.ndarray]):
         return pictures.curves(self.own, wanted)
 
     def animate(self, file: str | Path | None = None) -> Path:
-        """Writes a page that animates the mechanism in a browser. Without `file`, it is written to the temporary folder and opened."""
+        """Writes a page that animates the mechanism in a browser.
+
+        Parameters
+        ----------
+        file : str or pathlib.Path, optional
+            The page. Without it, it is written to the temporary folder and opened.
+
+        Returns
+        -------
+        pathlib.Path
+            The page.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> swing = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y"))
+        >>> swing.animate("swing.html").name
+        'swing.html'
+        """
         from fivebar import animated_page
 
         path = Path(tempfile.mkdtemp(prefix="fivebar-")) / f"{self.scene.name}.html" if file is None else Path(file)
@@ -226,14 +290,23 @@ class Result(dict[str, np.ndarray]):
         return path
 
     def to_dataframe(self) -> "pandas.DataFrame":
-        """The columns `outputs` as a frame with the time, s, as index; `attrs` has `units` and `descriptions` by name.
+        """The columns `outputs` as a frame. Needs pandas (extra `data`).
 
-        Needs pandas (extra `data`).
+        Returns
+        -------
+        pandas.DataFrame
+            The index is the time, s; `attrs` has `units` and `descriptions` by name.
+
+        Raises
+        ------
+        FiveBarError
+            If pandas is not installed.
 
         Examples
         --------
         >>> import fivebar
-        >>> frame = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y")).to_dataframe()
+        >>> swing = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y"))
+        >>> frame = swing.to_dataframe()
         >>> frame.shape, frame.index.name, frame.attrs["units"]["tip.x"]
         ((101, 2), 'time', 'm')
         """
@@ -249,9 +322,17 @@ class Result(dict[str, np.ndarray]):
         return frame
 
     def to_xarray(self) -> "xarray.Dataset":
-        """The columns `outputs` over time with attributes `units` and `description`; enumerations also have CF flag attributes.
+        """The columns `outputs` over time. Needs xarray (extra `data`).
 
-        Needs xarray (extra `data`).
+        Returns
+        -------
+        xarray.Dataset
+            Variables have attributes `units` and `description`; enumerations also CF flag attributes.
+
+        Raises
+        ------
+        FiveBarError
+            If xarray is not installed.
 
         Examples
         --------
@@ -277,14 +358,52 @@ class Result(dict[str, np.ndarray]):
         return {"units": self.units[name], "description": self.descriptions[name], **flags}
 
     def to_csv(self, file: str | Path) -> Path:
-        """Writes the columns `outputs`, one row per communication point, in full precision. The units are in `units`."""
+        """Writes the columns `outputs`, one row per communication point, in full precision. The units are in `units`.
+
+        Parameters
+        ----------
+        file : str or pathlib.Path
+            The table.
+
+        Returns
+        -------
+        pathlib.Path
+            The table.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> swing = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y"))
+        >>> swing.to_csv("swing.csv").read_text().splitlines()[0]
+        'time,tip.x,tip.y'
+        """
         self._write(Path(file), self.own)
         return Path(file)
 
     def to_parquet(self, file: str | Path) -> Path:
-        """Writes the columns `outputs`; each field has unit and description as metadata.
+        """Writes the columns `outputs`; each field has unit and description as metadata. Needs pyarrow (extra `data`).
 
-        Needs pyarrow (extra `data`).
+        Parameters
+        ----------
+        file : str or pathlib.Path
+            The table.
+
+        Returns
+        -------
+        pathlib.Path
+            The table.
+
+        Raises
+        ------
+        FiveBarError
+            If pyarrow is not installed.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> swing = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y"))
+        >>> swing.to_parquet("swing.parquet").name
+        'swing.parquet'
         """
         extras.need("data", "pyarrow")
         import pyarrow
@@ -304,7 +423,20 @@ class Result(dict[str, np.ndarray]):
         table.write_columns(file, {name: run[name] for name in self.outputs})
 
     def columns(self) -> str:
-        """A sentence on the columns of the table: number of columns by prefix, and the inputs."""
+        """A sentence on the columns of the table.
+
+        Returns
+        -------
+        str
+            Number of columns by prefix, and the inputs.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> swing = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y"))
+        >>> swing.columns()
+        'Columns: time, tip (2)'
+        """
         inputs = [name for name in self.outputs if name in self.scene.signals]
         computed = groups(name for name in self.outputs[1:] if name not in inputs)
         parts = ["time", *(f"{group} ({count})" for group, count in computed.items())]
@@ -317,10 +449,32 @@ class Result(dict[str, np.ndarray]):
         show: bool = False,
         progress: Callable[[str], None] = lambda _text: None,
     ) -> list[Path]:
-        """Writes page, tables and, with `draw`, pictures to a folder; removes files of earlier runs of the scene there.
+        """Writes page, tables and pictures to a folder; removes files of earlier runs of the scene there.
 
-        The page is written first, since the other files take longer; `show` opens it in the browser at once. `progress` gets a
-        text before each file. Returns the files.
+        The page is written first, since the other files take longer.
+
+        Parameters
+        ----------
+        folder : str or pathlib.Path
+            Created if needed.
+        draw : bool, optional
+            Whether to draw pictures.
+        show : bool, optional
+            Whether to open the page in the browser at once.
+        progress : callable, optional
+            Gets a text before each file.
+
+        Returns
+        -------
+        list of pathlib.Path
+            The files.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> swing = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y"))
+        >>> [file.name for file in swing.save("files", draw=False)]
+        ['swing.html', 'swing.csv', 'singularities.csv']
         """
         from fivebar import moving_picture, pictures
 

@@ -37,9 +37,17 @@ class Variant:
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene. `variants[0]` is the scene itself, the others are its overlays.
+    """A scene: start values, inputs that change, and runs to compare with.
 
-    `signals` are the inputs that change, by name, each sampled at the communication points: (n,), in the unit of the variable.
+    `variants[0]` is the scene itself, the others are its overlays. `signals` are the inputs that change, by name, each sampled at
+    the communication points: (n,), in the unit of the variable.
+
+    Examples
+    --------
+    >>> from fivebar import Scene
+    >>> scene = Scene.read("pick_and_place")
+    >>> scene.stop_time, scene["payload.mass"], sorted(scene.signals)[0]
+    (1.6, 0.05, 'servo.omega[1]')
     """
 
     name: str
@@ -74,9 +82,22 @@ class Scene:
 
     @classmethod
     def read(cls, given: "str | Path | Mapping[str, Any] | Scene") -> "Scene":
-        """Reads a shipped scene by name, the file of a scene, or the content of such a file.
+        """Reads a scene.
 
-        Raises FiveBarError if there is no such scene, or it is refused.
+        Parameters
+        ----------
+        given : str, pathlib.Path, mapping or Scene
+            The name of a shipped scene, the file of a scene, or the content of such a file.
+
+        Returns
+        -------
+        Scene
+            The scene.
+
+        Raises
+        ------
+        FiveBarError
+            If there is no such scene, or it is refused.
 
         Examples
         --------
@@ -101,7 +122,31 @@ class Scene:
         return communication_points(self.stop_time, self.step_size)
 
     def coarser(self, step_size: float, stop_time: float = math.inf) -> "Scene":
-        """The scene up to `stop_time`, with as few of its own steps in one as last `step_size`."""
+        """The scene with longer communication steps: as few of its own steps in one as last `step_size`.
+
+        Parameters
+        ----------
+        step_size : float
+            Least length of a step, s.
+        stop_time : float, optional
+            Where it ends, s, if that is earlier than the scene's own end.
+
+        Returns
+        -------
+        Scene
+            The scene.
+
+        Raises
+        ------
+        FiveBarError
+            If a time is not positive.
+
+        Examples
+        --------
+        >>> from fivebar import Scene
+        >>> Scene.read("swing").coarser(0.01).step_size
+        0.01
+        """
         step_size, stop_time = scene_file.seconds("step_size", step_size), scene_file.seconds("stop_time", stop_time)
         stride = max(1, math.ceil(step_size / self.step_size - 1e-9))
         short = replace(self, stop_time=min(self.stop_time, stop_time), step_size=stride * self.step_size)
@@ -134,6 +179,11 @@ class Scene:
             How long the scene is followed, and from one communication point to the next, s.
         inputs
             In the place of signals and values that the scene gives them, as for `fivebar.run`.
+
+        Returns
+        -------
+        Scene
+            The changed scene; this one stays as it is.
 
         Raises
         ------
@@ -184,6 +234,17 @@ class Scene:
 
         A scene does by naming one, by `solver.adaptive`, which only `i3alp` reads, or by a run to compare with that is called `automatic`; a
         unit of one's own by its start value.
+
+        Returns
+        -------
+        Scene
+            The scene.
+
+        Examples
+        --------
+        >>> from fivebar import Scene
+        >>> Scene.read("swing").with_method().assumed["method"]
+        "automatic: it has no 'solver.method'"
         """
         asks = METHOD in self.values or any(ADAPTIVE in run.values or run.label == "automatic" for run in self.variants)
         if asks or self.start[METHOD] != self.variables[METHOD].items["i3alp"]:
@@ -222,7 +283,19 @@ class Scene:
         return free if self.tip.placed(free, self.start) == values else values
 
     def resolved(self) -> dict[str, Any]:
-        """The scene with nothing left to look up, in terms of JSON: values as calls carry them, signals at every communication point."""
+        """The scene with nothing left to look up, in terms of JSON.
+
+        Returns
+        -------
+        dict
+            `name`, `description`, `stopTime`, `stepSize`, `variants` with values as calls carry them, and `signals` at every communication point.
+
+        Examples
+        --------
+        >>> from fivebar import Scene
+        >>> list(Scene.read("swing").resolved())
+        ['name', 'description', 'stopTime', 'stepSize', 'variants', 'signals']
+        """
         return {
             "name": self.name,
             "description": self.description,
