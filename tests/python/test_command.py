@@ -235,15 +235,17 @@ def test_an_error_of_this_program_is_a_sentence(
         main(["scenes"])
 
 
-def test_the_live_page_opens(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("command", "source"), [("page", "page"), ("docs", "site")])
+def test_shipped_pages_open(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, source: str
 ) -> None:
+    """The live page and the documentation, or a sentence that says how to make them."""
     shown: list[str] = []
     monkeypatch.setattr("webbrowser.open", shown.append)
-    monkeypatch.setattr(shipped, "page", lambda: tmp_path / "fivebar.html")
-    assert main(["page"]) == 0 and shown == [(tmp_path / "fivebar.html").as_uri()]
-    monkeypatch.setattr(shipped, "page", lambda: None)
-    assert main(["page"]) == 2 and "cargo xtask page` makes it" in capsys.readouterr().err
+    monkeypatch.setattr(shipped, source, lambda: tmp_path / "index.html")
+    assert main([command]) == 0 and shown == [(tmp_path / "index.html").as_uri()]
+    monkeypatch.setattr(shipped, source, lambda: None)
+    assert main([command]) == 2 and f"cargo xtask {source}` makes it" in capsys.readouterr().err
 
 
 def test_missing_extras_are_one_sentence(

@@ -1,4 +1,4 @@
-"""Facts that stand in papers and elsewhere: start values of effects, what README.md prints of a run, sizes of libraries."""
+"""Facts that stand in papers and elsewhere: start values of effects, what docs/first-run.md prints of a run, sizes of libraries."""
 
 import io
 import math
@@ -89,11 +89,11 @@ def test_sources_have_the_start_values_of_effects(model: ModelDescription, effec
         assert fits, f"{number} {shown} is no start value of {effect}"
 
 
-def test_readme_prints_what_a_run_prints(fmu: Path, scenes: Path) -> None:
+def test_the_first_run_prints_what_its_page_shows(fmu: Path, scenes: Path) -> None:
     """All lines of the summary but the times."""
     scene = read(scenes / "paper_free_fall.json")
     run = drive(shared(fmu), scene, scene.variants[0], Progress("", scene.stop_time, io.StringIO()))
-    (block,) = re.findall(r"^```text\n(  tip at the end.*?)^```$", text("README.md"), re.MULTILINE | re.DOTALL)
+    (block,) = re.findall(r"^```text\n(  tip at the end.*?)^```$", text("docs/first-run.md"), re.MULTILINE | re.DOTALL)
 
     def lasting(lines: list[str]) -> list[str]:
         return [line for line in lines if not line.startswith(("  wall time", "  real-time factor"))]

@@ -30,7 +30,7 @@ def test_scenes_of_the_repository_fit(validator: Draft202012Validator, scenes: P
     """Also those that the documents show, and a key for editors."""
     files = [*scenes.glob("*.json"), REPOSITORY / "tests" / "data" / "own_machine.json"]
     given = [json.loads(file.read_text(encoding="utf-8")) for file in files]
-    for page in ("README.md", "docs/scenes.md", "docs/kinematics.md"):
+    for page in ("docs/my-machine.md", "docs/scenes.md", "docs/kinematics.md"):
         blocks = (REPOSITORY / page).read_text(encoding="utf-8").split("```json\n")[1:]
         given += [json.loads(block.split("```")[0]) for block in blocks]
     assert len(given) > 24

@@ -1,4 +1,4 @@
-"""The plain way: simulate_fmu, and the script that the README quotes."""
+"""The plain way: simulate_fmu, and the script that docs/my-machine.md quotes."""
 
 import os
 import re
@@ -82,11 +82,13 @@ def test_the_table_of_a_run_is_input_of_fmpy(fmu: Path, tmp_path: Path) -> None:
         assert result[name].tolist() == own[name].tolist()
 
 
-def test_readme_and_example(fmu: Path, tmp_path: Path) -> None:
-    """The Python in the README and the script it names, as they stand, run and agree."""
+def test_docs_and_example(fmu: Path, tmp_path: Path) -> None:
+    """The Python in docs/my-machine.md and the script it names, as they stand, run and agree."""
     environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
     blocks = re.findall(
-        r"^```python\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+        r"^```python\n(.*?)^```$",
+        (REPOSITORY / "docs" / "my-machine.md").read_text(encoding="utf-8"),
+        re.DOTALL | re.MULTILINE,
     )
     package, live, plain = blocks
 
@@ -96,7 +98,7 @@ def test_readme_and_example(fmu: Path, tmp_path: Path) -> None:
 
     done = run("-c", package)
     assert re.fullmatch(r"-?0\.\d+ m\n", done.stdout) and (tmp_path / "tip.png").is_file(), done.stderr
-    done = run("-c", f"import fivebar\n{live}")
+    done = run("-c", live)
     # The PD controller holds the start.
     assert re.fullmatch(r"\(-0\.0\d+, 0\.2\d+\) m\n", done.stdout), done.stdout + done.stderr
     tips = []

@@ -17,6 +17,7 @@ mod release;
 mod report;
 mod run;
 mod scenes;
+mod site;
 mod test;
 mod twin;
 mod venv;
@@ -145,6 +146,8 @@ enum Command {
     Lock,
     /// Write the live page, the library in a browser: target/page/fivebar.html (needs .ci/setup-page)
     Page,
+    /// Write the documentation as a site that works from a folder: target/site/, with the live page if it has been made
+    Site(site::Options),
 }
 
 fn main() -> ExitCode {
@@ -180,6 +183,7 @@ fn command(command: Command) -> Result<()> {
         Command::Prices { method } => prices::prices(method.as_deref()),
         Command::Kinks => kinks::kinks(),
         Command::Page => page::page(),
+        Command::Site(options) => site::site(&options),
         Command::Release { this_platform } => release::release(if this_platform { Scope::Here } else { Scope::All }),
         Command::Wheel { all_platforms } => wheel::wheel(if all_platforms { Scope::All } else { Scope::Here }).map(drop),
         Command::Package { scene, name, all_platforms } => {

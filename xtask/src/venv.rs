@@ -25,7 +25,7 @@ const UV: &str = "xtask/python/uv.txt";
 const APART: &str = "xtask/python/cofmupy.txt";
 
 /// The groups of [`PROJECT`].
-const GROUPS: [&str; 7] = ["test", "full", "platforms", "release", "filters", "mujoco", "peers"];
+const GROUPS: [&str; 8] = ["test", "full", "platforms", "release", "site", "filters", "mujoco", "peers"];
 
 /// Packages that a command needs beside `fivebar`, its extras and the group `test`.
 #[derive(Clone, Copy)]
@@ -34,10 +34,14 @@ pub(crate) enum Packages {
     Usual,
     /// Driver of browsers, other masters than FMPy.
     Full,
+    /// These, and the builder of the site.
+    Nightly,
     /// Linker and C libraries of other machines.
     Platforms,
     /// Validator of bills of materials.
     Release,
+    /// Builder of the site.
+    Site,
     /// Filters for comparison with the estimator.
     Filters,
     /// MuJoCo, which simulates a followed machine.
@@ -51,8 +55,10 @@ impl Packages {
         match self {
             Self::Usual => &["test"],
             Self::Full => &["test", "full"],
+            Self::Nightly => &["test", "full", "site"],
             Self::Platforms => &["test", "platforms"],
             Self::Release => &["test", "release"],
+            Self::Site => &["test", "site"],
             Self::Filters => &["test", "filters"],
             Self::Mujoco => &["test", "mujoco"],
             Self::Peers => &["test", "peers"],
@@ -231,8 +237,10 @@ mod tests {
         let all = [
             Packages::Usual,
             Packages::Full,
+            Packages::Nightly,
             Packages::Platforms,
             Packages::Release,
+            Packages::Site,
             Packages::Filters,
             Packages::Mujoco,
             Packages::Peers,

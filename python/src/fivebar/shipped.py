@@ -1,4 +1,4 @@
-"""The unit, the scenes and the live page that come with the package: in its folder `shipped/`, as the wheel has them, or where the
+"""The unit, the scenes, the live page and the site that come with the package: in its folder `shipped/`, as the wheel has them, or where the
 checkout that the package lies in has them.
 """
 
@@ -54,6 +54,11 @@ def descriptions() -> dict[str, str]:
 def page() -> Path | None:
     """The live page, or None where the package comes without."""
     return _found("fivebar.html", "target/page/fivebar.html")
+
+
+def site() -> Path | None:
+    """The first page of the documentation, or None where the package comes without."""
+    return _found("site/index.html", "target/site/index.html")
 
 
 def _found(name: str, in_checkout: str) -> Path | None:

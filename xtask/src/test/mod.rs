@@ -67,7 +67,11 @@ pub(crate) fn test(level: Level) -> Result<()> {
     }
     // Python packages are fetched in parallel, because the network is slow. A failed step waits for them, so that none is half installed.
     thread::scope(|scope| {
-        let packages = if full { Packages::Full } else { Packages::Usual };
+        let packages = match level {
+            Level::Usual => Packages::Usual,
+            Level::Full => Packages::Full,
+            Level::Nightly => Packages::Nightly,
+        };
         checked(level, scope.spawn(move || venv::python(packages).map(drop)))
     })?;
     if nightly {

@@ -15,7 +15,7 @@ pub(super) enum Tests {
     Usual,
     /// Also tests that need a browser, valgrind or a locale, and a library in which fmi2CancelStep panics.
     Full { panicking: PathBuf },
-    /// Also long tests.
+    /// Also long tests, and the site.
     Nightly { panicking: PathBuf },
     /// The usual tests on a unit for all platforms, and tests that compare its libraries.
     Platforms,
@@ -31,7 +31,7 @@ pub(super) fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<Vec<Timed>
     let (packages, marks) = match tests {
         Tests::Usual => (Packages::Usual, None),
         Tests::Full { .. } => (Packages::Full, Some("not nightly and not platforms and not fmi_sim and not page")),
-        Tests::Nightly { .. } => (Packages::Full, Some("not platforms and not fmi_sim and not page")),
+        Tests::Nightly { .. } => (Packages::Nightly, Some("not platforms and not fmi_sim and not page")),
         Tests::Platforms => (Packages::Platforms, Some("not full and not nightly and not fmi_sim and not page")),
         Tests::FmiSim => (Packages::Usual, Some("fmi_sim")),
         Tests::Page => (Packages::Full, Some("page")),

@@ -17,6 +17,7 @@ import click
 from fivebar.commands import (
     calibrate,
     check,
+    docs,
     ensemble,
     export,
     import_,
@@ -42,6 +43,7 @@ COMMANDS = (
     map.map_,
     path.path,
     page.page,
+    docs.docs,
     twin.twin,
     replay.replay,
     check.check,

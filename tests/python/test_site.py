@@ -1,0 +1,100 @@
+"""The site of `cargo xtask site`: every page has a place in it; built, it works from a folder: no request leaves it, search finds, nothing is
+wider than a telephone."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conftest import REPOSITORY, wait_until
+from test_docs import tracked
+
+SOURCES = REPOSITORY / "xtask" / "python" / "site"
+
+
+def test_every_page_is_in_the_site() -> None:
+    """Each page of docs/ and each notebook stands once in the navigation."""
+    listed = re.findall(
+        r"^ +- (?:.*: )?([\w/-]+\.md)$", (SOURCES / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    pages = [path.relative_to(REPOSITORY / "docs").as_posix() for path in tracked("docs/*.md")]
+    notebooks = [f"examples/{path.stem}.md" for path in tracked("examples/*.ipynb")]
+    generated = [page for page in listed if page.startswith("reference/") or page == "examples.md"]
+    others = ["index.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"]
+    assert sorted(listed) == sorted([*pages, *notebooks, *generated, *others])
+
+
+@pytest.fixture(scope="module")
+def site(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built as `cargo xtask site` builds it: a broken link or anchor is an error."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--config-file", str(SOURCES / "mkdocs.yml")]
+    environment = os.environ | {"FIVEBAR_FMU": str(fmu), "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(
+        [*command, "--site-dir", str(folder)],
+        cwd=REPOSITORY,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def browser(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A browser with the front page; at the end its console has no warning of any page."""
+    from browser import open_browser
+
+    with open_browser((site / "index.html").as_uri(), tmp_path_factory.mktemp("browser")) as driver:
+        yield driver
+
+
+WIDER = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
+FOREIGN = "return performance.getEntriesByType('resource').map((e) => e.name).filter((n) => !n.startsWith('file:'))"
+NAMELESS = "return [...document.images].filter((image) => !image.alt).map((image) => image.src)"
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1280, "dark")])
+def test_pages_fit(site: Path, browser: Any, width: int, scheme: str) -> None:
+    """No page is wider than the window, asks a network or has a picture without words."""
+    screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+    feature = {"name": "prefers-color-scheme", "value": scheme}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+    pages = [page for page in sorted(site.rglob("*.html")) if "live" not in page.parts]
+    assert len(pages) > 60
+    for page in pages:
+        browser.get(page.as_uri())
+        assert browser.execute_script(WIDER) <= 0, f"{page.name} at {width} px"
+        assert browser.execute_script(FOREIGN) == [], page.name
+        assert browser.execute_script(NAMELESS) == [], page.name
+
+
+@pytest.mark.nightly
+def test_search_works_from_a_folder(site: Path, browser: Any) -> None:
+    browser.get((site / "index.html").as_uri())
+    browser.execute_script("document.querySelector('input[name=query]').focus()")
+    browser.switch_to.active_element.send_keys("errorTolerance")
+    found = "return [...document.querySelectorAll('.md-search-result__link')].map((link) => link.getAttribute('href'))"
+    wait_until(lambda: browser.execute_script(found))
+    assert any("reference/variables.html" in link for link in browser.execute_script(found))
+
+
+@pytest.mark.nightly
+def test_variables_are_found_by_name(site: Path, browser: Any) -> None:
+    browser.get((site / "reference" / "variables.html").as_uri())
+    shown = (
+        "return [...document.querySelectorAll('.variable')].filter((row) => row.checkVisibility()).map((row) => row.id)"
+    )
+    assert len(browser.execute_script(shown)) > 200
+    browser.execute_script("document.getElementById('filter').focus()")
+    browser.switch_to.active_element.send_keys("servo.kp")
+    wait_until(lambda: browser.execute_script(shown) == ["servo.kp[1]", "servo.kp[2]"])
