@@ -9,6 +9,9 @@ from markdown.extensions import Extension
 from markdown.inlinepatterns import InlineProcessor
 from math_core import LatexToMathML
 
+LONG = 40
+"""Characters of TeX beyond which a formula in a line may be wider than a telephone; site.css lets it scroll by itself."""
+
 NUMBER = re.compile(r"\\tag\{(\d+)\}")
 
 
@@ -44,4 +47,5 @@ class Between(InlineProcessor):
 
     def handleMatch(self, m: re.Match[str], data: str) -> tuple[str | ElementTree.Element, int, int]:  # type: ignore[override]
         """Stored as finished HTML."""
-        return self.markdown.htmlStash.store(mathml(m[1], display=False)), m.start(0), m.end(0)
+        formula = f"<span>{mathml(m[1], display=False)}</span>" if len(m[1]) > LONG else mathml(m[1], display=False)
+        return self.markdown.htmlStash.store(formula), m.start(0), m.end(0)

@@ -36,7 +36,7 @@ PARTS = re.compile(
 )
 """Code, which stays, and links."""
 
-UNUSED = ("*.map", "assets/javascripts/lunr/**/*.js", "sitemap.xml*", "search/search_index.json")
+UNUSED = ("404.html", "*.map", "assets/javascripts/lunr/**/*.js", "sitemap.xml*", "search/search_index.json")
 """Files of theme and plugins that a page without a network and in English does not read."""
 
 
