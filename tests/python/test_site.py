@@ -49,10 +49,10 @@ def site(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A browser with the front page; at the end its console has no warning of any page."""
+    """A browser; at the end its console has no warning of any page."""
     from browser import open_browser
 
-    with open_browser((site / "index.html").as_uri(), tmp_path_factory.mktemp("browser")) as driver:
+    with open_browser((site / "my-machine.html").as_uri(), tmp_path_factory.mktemp("browser")) as driver:
         yield driver
 
 
@@ -80,7 +80,7 @@ def test_pages_fit(site: Path, browser: Any, width: int, scheme: str) -> None:
 
 @pytest.mark.nightly
 def test_search_works_from_a_folder(site: Path, browser: Any) -> None:
-    browser.get((site / "index.html").as_uri())
+    browser.get((site / "my-machine.html").as_uri())
     browser.execute_script("document.querySelector('input[name=query]').focus()")
     browser.switch_to.active_element.send_keys("errorTolerance")
     found = "return [...document.querySelectorAll('.md-search-result__link')].map((link) => link.getAttribute('href'))"
