@@ -332,6 +332,16 @@ def test_another_stop_time_and_step(fmu: Path) -> None:
     assert swing.replace(stop_time=1.0).stop_time == 1.0 and swing.replace() == swing.replace({})
 
 
+def test_stop_time_and_step_by_the_command(fmu: Path, tmp_path: Path) -> None:
+    process = run(fmu, tmp_path, SHORT, "--no-pictures", "--stop-time", "0.05", "--step-size", "0.01")
+    assert process.returncode == 0, process.stderr
+    rows = (tmp_path / "out" / "short.csv").read_text(encoding="utf-8").splitlines()[1:]
+    assert [row.partition(",")[0] for row in rows] == ["0.0", "0.01", "0.02", "0.03", "0.04", "0.05"]
+    refused = run(fmu, tmp_path, SHORT, "--stop-time", "-1")
+    assert refused.returncode == 2
+    assert refused.stderr == "fivebar run: 'stop_time' must be a positive number of seconds, not -1.0\n"
+
+
 def test_a_scene_that_names_no_method_runs_by_automatic(fmu: Path, tmp_path: Path) -> None:
     """Summary and label say so; what names a method, or strictly fixed steps of i3alp, keeps it."""
     plain = fivebar.run("swing", stop_time=0.01)

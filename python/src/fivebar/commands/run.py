@@ -21,6 +21,10 @@ from fivebar.commands import completion, options
     "--method", type=completion.Method(), metavar="NAME", help="Another item of solver.method, such as automatic."
 )
 @click.option(
+    "--stop-time", type=float, metavar="SECONDS", help="How long it runs, in the place of the scene's own time."
+)
+@click.option("--step-size", type=float, metavar="SECONDS", help="From one row of the table to the next, likewise.")
+@click.option(
     "--outputs",
     type=completion.Columns(),
     multiple=True,
@@ -35,6 +39,8 @@ def run(
     scene: str,
     changes: tuple[str, ...],
     method: str | None,
+    stop_time: float | None,
+    step_size: float | None,
     outputs: tuple[str, ...],
     no_pictures: bool,
     fmu: Path | None,
@@ -58,7 +64,9 @@ def run(
     from fivebar.progress import Line
     from fivebar.variables import of_unit
 
-    ready = scenes.read(scene, of_unit(fmu)).replace(options.assignments(changes), method=method)
+    ready = scenes.read(scene, of_unit(fmu)).replace(
+        options.assignments(changes), method=method, stop_time=stop_time, step_size=step_size
+    )
     folder = Path(ready.name) if out is None else out
     options.check_folder(folder)
     result = simulate.run(ready, fmu, overlays=True, progress=Progress, outputs=outputs, on_failure="return")
