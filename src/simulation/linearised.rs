@@ -163,7 +163,7 @@ impl Scene for FollowedScene<'_> {
         })
     }
 
-    /// By differences to machines with one link longer by [`LONGER`]. The base distance has no column: it changes only the angles that close
+    /// By differences to machines with one link longer by `LONGER`. The base distance has no column: it changes only the angles that close
     /// the loop.
     #[inline(never)]
     fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>> {
