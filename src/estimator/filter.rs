@@ -12,6 +12,7 @@ use super::flow::Flow;
 use super::learning::{Learning, Persistent, ReadingErrors};
 use super::machine::{Machine, Prior};
 use super::propagation::{ProcessNoise, Propagation};
+use super::stored;
 use super::tangent::{Frame, LinkState, Linkage};
 use super::tuning::MODELS;
 use crate::copies::clone_by_fields;
@@ -21,6 +22,7 @@ use crate::copies::clone_by_fields;
 pub(super) struct Filter {
     pub(super) belief: Belief,
     /// Boxed, so that it costs no space if nothing is learned.
+    #[borsh(deserialize_with = "stored::read_optional")]
     learning: Option<Box<Learning>>,
 }
 

@@ -20,3 +20,8 @@ pub(super) fn read_boxed<R: Read, T: BorshDeserialize>(reader: &mut R) -> io::Re
     let place = Box::new_uninit();
     Ok(Box::write(place, T::deserialize_reader(reader)?))
 }
+
+/// Reads a large value that may be missing, as [`read_boxed`].
+pub(super) fn read_optional<R: Read, T: BorshDeserialize>(reader: &mut R) -> io::Result<Option<Box<T>>> {
+    bool::deserialize_reader(reader)?.then(|| read_boxed(reader)).transpose()
+}
