@@ -16,10 +16,10 @@ from conftest import wait_until
 from fivebar.commands import main
 from fivebar.kinematics import Machine as Kinematics
 from fivebar.twin import config as configuration
-from fivebar.twin import record
+from fivebar.twin import listen, record
 from fivebar.twin.config import Broker, Config
 from fivebar.twin.errors import TwinError
-from fivebar.twin.importing import check, listen
+from fivebar.twin.importing import check
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.starter import free_port
 
@@ -269,6 +269,7 @@ def test_messages_that_a_twin_would_refuse_are_named() -> None:
         listen.recorded("the broker", samples(MOTION), "arm")
 
 
+@pytest.mark.nightly
 def test_it_listens_to_a_broker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A machine publishes until the check has ended; times and count are the machine's own, so that a busy computer changes nothing."""
     port = free_port()
@@ -302,6 +303,7 @@ def test_it_listens_to_a_broker(tmp_path: Path, capsys: pytest.CaptureFixture[st
         # A busy computer may need longer to connect.
         seconds = 2
         while main([*words, str(seconds)]) == 2:
+            assert broker.poll() is None, broker.communicate()[1]
             seconds *= 2
             assert seconds < 300
         assert "measured.theta[1]: " in capsys.readouterr().out

@@ -8,9 +8,9 @@ import click
 @click.command()
 @click.option("--no-open", is_flag=True, help="Only say where the documentation is.")
 def docs(no_open: bool) -> None:
-    """Open the documentation of this version: tutorials, how-to, reference, theory.
+    """Open the documentation of this version.
 
-    It is a site in a folder that needs no network and no server.
+    Tutorials, how-to, reference and theory: a site in a folder that needs no network and no server.
     """
     from fivebar import shipped
     from fivebar.errors import FiveBarError
