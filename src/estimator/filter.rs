@@ -1,7 +1,7 @@
 //! The filter of the estimate: one joint error state of the motion, the unknown force and the learned parameters.
 //!
 //! The bank of the [`Belief`] has the block of motion and force, [`Learning`] the blocks of the parameters (see there for the joint
-//! covariance). Everything that predicts, updates or corrects the estimate passes through here, so that all blocks stay together.
+//! covariance). Updates in time and by samples, corrections and restarts pass through here, so that all blocks stay together.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, SMatrix};
@@ -9,7 +9,7 @@ use nalgebra::{Matrix2, SMatrix};
 use super::belief::{Bank, Belief, Innovation, Prediction};
 use super::error_state::{Error, GEOMETRY, LEARNED, LOADS, Learned, OFFSETS, READINGS};
 use super::flow::Flow;
-use super::learning::{Learning, Persistent, ReadingErrors};
+use super::learning::{Columns, Learning, Persistent, ReadingErrors};
 use super::machine::{Machine, Prior};
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
@@ -55,9 +55,6 @@ pub(super) struct Correction {
     pub(super) turn: Matrix2<f64>,
 }
 
-/// Covariances of a sample with the learned parameters, in each model.
-pub(super) type Columns = [Learned; MODELS];
-
 /// Belief about a motion, with the learned parameters if it has any: all that is known of the motion's uncertainty.
 #[derive(Clone, Copy)]
 pub(super) struct Known<'a> {
@@ -98,24 +95,15 @@ impl Filter {
                 let sigma = learning.sigma_of_readings(&self.belief.bank, errors);
                 [sigma, [0, 1].map(|i| learning.values()[OFFSETS.start + i])]
             }
-            _ => {
-                let [length, offset] = machine.unlearned;
-                let by_lengths = frame.motors_by_lengths(length);
-                let by_encoders = machine.parameters.variances_of_encoders(&motion.theta);
-                [[0, 1].map(|i| (by_lengths[i] + offset * offset + by_encoders[i]).sqrt()), [0.0; 2]]
-            }
+            _ => [unlearned_errors(machine, motion, &frame, machine.unlearned[1]), [0.0; 2]],
         };
         Estimated { motion: *motion, frame, errors, sigma, offset }
     }
 
     /// Errors of both readings in addition to the errors of the motion; `None` if nothing is learned.
     pub(super) fn reading_errors(&self, machine: &Machine, motion: &LinkState, frame: &Frame) -> Option<ReadingErrors> {
-        self.learns().then(|| {
-            let by_lengths = frame.motors_by_lengths(machine.unlearned[0]);
-            let by_encoders = machine.parameters.variances_of_encoders(&motion.theta);
-            let further = [0, 1].map(|i| (by_lengths[i] + by_encoders[i]).sqrt());
-            ReadingErrors { rows: frame.readings_by_geometry(), further }
-        })
+        self.learns()
+            .then(|| ReadingErrors { rows: frame.readings_by_geometry(), further: unlearned_errors(machine, motion, frame, 0.0) })
     }
 
     /// Bank for filters without parameters: all errors of both readings count as persistent errors.
@@ -255,4 +243,12 @@ impl<'a> Known<'a> {
         self.learning
             .map_or([SMatrix::zeros(); MODELS], |learning| learning.added_moments(&self.belief.bank, by_error, by_parameters))
     }
+}
+
+/// Standard deviations of both readings' errors due to lengths that are not learned, discs and scales, and a mounting angle with the
+/// standard deviation `offset`, rad.
+fn unlearned_errors(machine: &Machine, motion: &LinkState, frame: &Frame, offset: f64) -> [f64; 2] {
+    let by_lengths = frame.motors_by_lengths(machine.unlearned[0]);
+    let by_encoders = machine.parameters.variances_of_encoders(&motion.theta);
+    [0, 1].map(|i| (by_lengths[i] + offset * offset + by_encoders[i]).sqrt())
 }

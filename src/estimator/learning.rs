@@ -44,6 +44,8 @@ type Cross = SMatrix<f64, ERRORS, LEARNED>;
 type Moving = SMatrix<f64, FORCE, LEARNED>;
 /// Derivatives of a reading by lengths and mounting angles.
 type Shown = SVector<f64, GEOMETRY>;
+/// Covariances of a sample with the parameters, in each model.
+pub(super) type Columns = [Learned; MODELS];
 /// Covariance of the errors of the parameters.
 type Square = SMatrix<f64, LEARNED, LEARNED>;
 
@@ -343,7 +345,7 @@ impl Learning {
     /// Adds the effect of lengths and mounting angles to an expected sample of encoder i; `row` has the derivatives of the reading by them.
     /// Returns the covariance of the sample with the parameters in each model. Lengths and mounting angles that are not learned at present
     /// are part of the sample's noise.
-    pub(super) fn expect(&self, expected: &mut Prediction, (i, sample): (usize, &Innovation), row: &Shown) -> [Learned; MODELS] {
+    pub(super) fn expect(&self, expected: &mut Prediction, (i, sample): (usize, &Innovation), row: &Shown) -> Columns {
         let row = if self.geometry { *row } else { Shown::zeros() };
         // Without delay a sample depends only on angles and a persistent error.
         let own = sample.row.fixed_rows::<2>(0);
@@ -376,7 +378,7 @@ impl Learning {
     pub(super) fn update(
         &mut self,
         expected: &mut Prediction,
-        columns: &[Learned; MODELS],
+        columns: &Columns,
         &Persistent { unlearned, shown, samples }: &Persistent,
         rests: bool,
     ) {

@@ -12,6 +12,7 @@ import fmpy
 import pytest
 from fmpy.model_description import ModelDescription
 
+from fivebar.library import Library
 from instance import Instance
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -64,6 +65,14 @@ def fmu() -> Path:
     path = Path(os.environ.get("FIVEBAR_FMU", REPOSITORY / "target" / "fmu" / "FiveBar.fmu")).resolve()
     assert path.is_file(), f"there is no .fmu at {path}: run `cargo xtask package` or set FIVEBAR_FMU"
     return path
+
+
+@pytest.fixture(scope="module")
+def library(fmu: Path) -> Iterator[Library]:
+    """The unit under test, extracted and loaded by the package."""
+    made = Library(fmu)
+    yield made
+    made.close()
 
 
 @pytest.fixture(scope="session")

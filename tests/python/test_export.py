@@ -1,7 +1,7 @@
 """`fivebar export`: the messages of a record as series, scene and log; its files in the readers of their own libraries (nightly)."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,6 @@ from fivebar.twin.soak import configured
 from twin_support import recorded
 
 SAMPLES = 100
-
-
-@pytest.fixture(scope="module")
-def library(fmu: Path) -> Iterator[Library]:
-    made = Library(fmu)
-    yield made
-    made.close()
 
 
 @pytest.fixture(scope="module")

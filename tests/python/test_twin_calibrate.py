@@ -46,13 +46,6 @@ BASE = {name: value for name, value in trials.MACHINE.items() if name != "fricti
 """Without dry friction, which is the dearest effect."""
 
 
-@pytest.fixture(scope="module")
-def library(fmu: Path):
-    found = Library(fmu)
-    yield found
-    found.close()
-
-
 SINKING = BASE | {"servo.enabled": False, "viscous.enabled": False, "gravity.g": 0.3}
 """Weight alone, and little of it: a motion without whips, in which masses appear by their proportions only."""
 

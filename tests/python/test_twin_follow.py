@@ -3,7 +3,6 @@
 import json
 import math
 import random
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -26,14 +25,6 @@ from fivebar.twin.recorder import Recorder
 from fivebar.twin.replay import Result, replay
 from fivebar.twin.soak import BEGIN, Wire, configured, machine
 from twin_support import follower, recorded
-
-
-@pytest.fixture(scope="module")
-def library(fmu: Path) -> Iterator[Library]:
-    """The unit under test."""
-    made = Library(fmu)
-    yield made
-    made.close()
 
 
 @pytest.fixture

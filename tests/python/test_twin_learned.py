@@ -5,7 +5,6 @@ import math
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,14 +36,6 @@ TRUE_DISCS = {"estimator.sigma0.eccentricity": 0.0}
 
 MASSES = tuple(f"link[{i}].mass" for i in (1, 2, 3, 4))
 LENGTHS = (*(f"link[{i}].length" for i in (1, 2, 3, 4)), "base.distance")
-
-
-@pytest.fixture(scope="module")
-def library(fmu: Path) -> Iterator[Library]:
-    """The unit under test."""
-    made = Library(fmu)
-    yield made
-    made.close()
 
 
 def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(

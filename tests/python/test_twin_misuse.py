@@ -10,7 +10,7 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,14 +42,6 @@ from twin_support import recorded
 COMMAND = [sys.executable, "-m", "fivebar"]
 PERIOD_NS = 5_000_000
 HOUR = 3_600_000_000_000
-
-
-@pytest.fixture(scope="module")
-def library(fmu: Path) -> Iterator[Library]:
-    """The unit under test."""
-    made = Library(fmu)
-    yield made
-    made.close()
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
 """`fivebar docs`: the documentation."""
 
-import webbrowser
-
 import click
+
+from fivebar.commands import options
 
 
 @click.command()
@@ -13,11 +13,5 @@ def docs(no_open: bool) -> None:
     Tutorials, how-to, reference and theory: a site in a folder that needs no network and no server.
     """
     from fivebar import shipped
-    from fivebar.errors import FiveBarError
 
-    file = shipped.site()
-    if file is None:
-        raise FiveBarError("this package comes without the documentation; in a checkout `cargo xtask site` makes it")
-    click.echo(file)
-    if not no_open:
-        webbrowser.open(file.resolve().as_uri())
+    options.show(shipped.site(), "documentation", "site", no_open)

@@ -104,6 +104,22 @@ def written(files: Iterable[Path]) -> None:
         click.echo(f"  {_shown(file)}  ({_size(file.stat().st_size)})")
 
 
+def show(file: Path | None, what: str, maker: str, no_open: bool) -> None:
+    """Says where a shipped page is, and opens it unless `no_open`.
+
+    Raises FiveBarError if the package comes without it; `cargo xtask MAKER` makes it.
+    """
+    import webbrowser
+
+    from fivebar.errors import FiveBarError
+
+    if file is None:
+        raise FiveBarError(f"this package comes without the {what}; in a checkout `cargo xtask {maker}` makes it")
+    click.echo(file)
+    if not no_open:
+        webbrowser.open(file.resolve().as_uri())
+
+
 def _shown(file: Path) -> Path:
     """`file` as seen from the current directory, if it lies inside."""
     file, here = file.resolve(), Path.cwd().resolve()

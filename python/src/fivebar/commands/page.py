@@ -1,8 +1,8 @@
 """`fivebar page`: the live page."""
 
-import webbrowser
-
 import click
+
+from fivebar.commands import options
 
 
 @click.command()
@@ -13,11 +13,5 @@ def page(no_open: bool) -> None:
     The page computes by the unit's own code. It is one file that needs no network; send it to whom you like.
     """
     from fivebar import shipped
-    from fivebar.errors import FiveBarError
 
-    file = shipped.page()
-    if file is None:
-        raise FiveBarError("this package comes without the live page; in a checkout `cargo xtask page` makes it")
-    click.echo(file)
-    if not no_open:
-        webbrowser.open(file.resolve().as_uri())
+    options.show(shipped.page(), "live page", "page", no_open)
