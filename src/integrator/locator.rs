@@ -272,7 +272,9 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
         self.first(from, &middle, stays).or_else(|| self.first(&middle, to, stays))
     }
 
-    /// First crossing on a stretch with at most one maximum of sticking friction's reaction, by successive parabolas.
+    /// First crossing on a stretch with at most one maximum of sticking friction's reaction, by successive parabolas. Not inlined, so that
+    /// the recursion of [`Self::first`] needs less stack.
+    #[inline(never)]
     fn refine_maximum(&self, from: &Probe<S::GuardValues>, [mut left, mut top, mut right]: [[f64; 2]; 3]) -> Option<f64> {
         for _ in 0..MAXIMUM_ROUNDS {
             let slope = |[x, y]: [f64; 2], [z, w]: [f64; 2]| (w - y) / (z - x);
@@ -298,6 +300,8 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
     }
 
     /// Crossing of a guard between a place within it and a place past it, by false position (Anderson and Björck, *BIT* 13, 1973).
+    /// Not inlined, so that the recursion of [`Self::first`] needs less stack.
+    #[inline(never)]
     fn crossing_between(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Probe<S::GuardValues> {
         let [mut before, mut after] = [from.part, to.part];
         // Only the sign, and the size near the guard, matter.
