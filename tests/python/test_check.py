@@ -1,4 +1,4 @@
-"""`fivebar check`: the first questions about a record, their answers, and fixes that a second check finds good."""
+"""`fivebar check`: its findings about a record, and fixes that a second check accepts."""
 
 import json
 import subprocess
@@ -61,14 +61,14 @@ def rounded(angles: np.ndarray) -> np.ndarray:
 
 
 def write_csv(time: Any, angles: np.ndarray, **more: Any) -> None:
-    """bench.csv, with an empty cell for NaN."""
+    """Writes bench.csv; NaN becomes an empty cell."""
     columns = {"time": time, "theta[1]": angles[:, 0], "theta[2]": angles[:, 1], **more}
     rows = [",".join("" if np.isnan(x) else repr(float(x)) for x in row) for row in zip(*columns.values(), strict=True)]
     Path("bench.csv").write_text("\n".join([",".join(columns), *rows]) + "\n", encoding="utf-8")
 
 
 def checked(text: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, list[tuple[str, str]]], str]:
-    """Exit code, the findings by question as (state, sentence), and the blocks to copy."""
+    """Returns the exit code, the findings (state, sentence) by question, and the blocks to copy."""
     code = main(["check", "machine.json", *(words or ["bench.csv"])])
     out = text.readouterr().out
     report, _, blocks = out.partition("\n\n")
@@ -88,7 +88,7 @@ def test_a_good_record_needs_nothing(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_units_signs_and_zeros_are_put_right_by_the_map_that_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    """Milliseconds, degrees and millimetres without a word in the head; the left angle reversed, both zeros somewhere, the right one a turn off."""
+    """The head names no units (ms, deg, mm); the left angle is reversed; both zeros are off, the right one also by a turn."""
     angles = np.degrees(rounded((MOTION - [0.4, -0.3]) * [-1, 1])) - [0.0, 360.0]
     write_csv(1e3 * GRID, angles, **{"tip.x": 1e3 * TIP[:, 0], "tip.y": 1e3 * TIP[:, 1]})
     code, found, blocks = checked(capsys)
@@ -101,7 +101,7 @@ def test_units_signs_and_zeros_are_put_right_by_the_map_that_is_printed(capsys: 
 
 
 def test_counts_need_the_counts_of_a_turn(capsys: pytest.CaptureFixture[str]) -> None:
-    """The record does not have them, so that it is refused with the words for the map."""
+    """A record cannot show the counts of a turn: it is refused with the line that the map needs."""
     write_csv(GRID, np.round(MOTION * 8192 / (2 * np.pi)))
     assert main(["check", "machine.json", "bench.csv"]) == 2
     error = capsys.readouterr().err
@@ -110,7 +110,7 @@ def test_counts_need_the_counts_of_a_turn(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_a_wrong_unit_in_the_map_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    """The user's own word for the unit is not changed."""
+    """A unit that the user wrote in the map is not replaced."""
     write_csv(GRID, MOTION * 100)
     Path("map.json").write_text(
         json.dumps({f"measured.theta[{i}]": {"column": f"theta[{i}]", "unit": "rad"} for i in (1, 2)}), encoding="utf-8"
@@ -119,7 +119,7 @@ def test_a_wrong_unit_in_the_map_is_refused(capsys: pytest.CaptureFixture[str]) 
     assert "are these degrees?" in capsys.readouterr().err
 
 
-def test_what_the_encoders_alone_cannot_tell(capsys: pytest.CaptureFixture[str]) -> None:
+def test_limits_of_a_record_with_encoders_only(capsys: pytest.CaptureFixture[str]) -> None:
     write_csv(GRID, rounded(MOTION))
     code, found, blocks = checked(capsys)
     assert code == 0 and not blocks
@@ -129,7 +129,7 @@ def test_what_the_encoders_alone_cannot_tell(capsys: pytest.CaptureFixture[str])
 
 
 def test_a_dead_encoder_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    """All through; for a while, while its command moves; and one without a reading."""
+    """An encoder that never moves, one that stops while its command moves, and one without readings."""
     angles = rounded(MOTION)
     dead = angles.copy()
     dead[:, 1] = dead[0, 1]
@@ -144,7 +144,7 @@ def test_a_dead_encoder_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     write_csv(GRID, stuck, **{f"servo.theta[{i + 1}]": MOTION[:, i] for i in (0, 1)})
     code, found, _ = checked(capsys)
     assert code == 1 and any("while servo.theta[1] moves by" in sentence for _, sentence in found["encoders"])
-    # Without commands, a motor that is held looks the same.
+    # Without commands, a motor at rest looks the same.
     write_csv(GRID, stuck)
     code, found, _ = checked(capsys)
     assert code == 0 and all(state == "ok" for state, _ in found["encoders"])
@@ -168,7 +168,7 @@ def test_a_clock_that_is_uneven_or_falls_back_is_named(capsys: pytest.CaptureFix
     assert code == 1 and all(state == "fix" and "longest gap 1" in sentence for state, sentence in found["rate"])
 
 
-def test_whole_turns_are_told_from_a_counter_that_overflows(capsys: pytest.CaptureFixture[str]) -> None:
+def test_whole_turns_and_counter_overflows_are_distinguished(capsys: pytest.CaptureFixture[str]) -> None:
     jumps = rounded(MOTION)
     jumps[200:, 0] -= 2 * np.pi
     write_csv(GRID, jumps)
@@ -192,7 +192,7 @@ def test_a_machine_beyond_its_reach_or_away_from_its_start_is_named(capsys: pyte
     write_csv(GRID, rounded(MOTION - [0.3, 0.0]))
     code, found, blocks = checked(capsys)
     assert code == 0 and not blocks and '"encoder.offset[1]": -0.3' in found["start"][0][1]
-    # Within reach only if exchanged, by zeros that nobody knows: a guess.
+    # Only exchanged encoders are within reach. The zeros are unknown, so this is a guess.
     write_csv(GRID, rounded(MOTION + [0.3, 0.0]))
     code, found, blocks = checked(capsys)
     assert code == 0 and ("?", "encoders exchanged") in found["signs"]
@@ -205,7 +205,7 @@ def test_a_machine_beyond_its_reach_or_away_from_its_start_is_named(capsys: pyte
 
 
 def test_errors_of_the_encoders_that_the_twin_does_not_take(capsys: pytest.CaptureFixture[str]) -> None:
-    """A coarse encoder; its lines make the next check good."""
+    """A coarse encoder: with the printed lines the next check passes."""
     coarse = 2 * np.pi / 2000
     write_csv(GRID, np.round(MOTION / coarse) * coarse)
     code, found, blocks = checked(capsys)
@@ -216,7 +216,7 @@ def test_errors_of_the_encoders_that_the_twin_does_not_take(capsys: pytest.Captu
 
 
 def samples(angles: np.ndarray, **more: Any) -> list[tuple[str, bytes, int]]:
-    """Messages of a machine, with the times of their arrival."""
+    """Messages of a machine with their arrival times."""
     found = []
     for k, row in enumerate(angles):
         at = BEGIN + 5_000_000 * k
@@ -227,14 +227,14 @@ def samples(angles: np.ndarray, **more: Any) -> list[tuple[str, bytes, int]]:
 
 
 def test_a_machine_at_a_broker_gets_mounting_angles(capsys: pytest.CaptureFixture[str]) -> None:
-    """It has no map: signs and exchanges are changed by who publishes, zeros stand in the scene."""
+    """A live machine has no map: its publisher corrects signs and exchanges; the scene has the zeros."""
     tip = {"tip.x": TIP[:, 0], "tip.y": TIP[:, 1]}
     heard = samples(rounded(np.column_stack([MOTION[:, 1] + 0.2, -MOTION[:, 0]])), **tip)
     given = check.of_recording(listen.recorded("the broker", heard, ""))
     assert check.run("machine.json", given) == 1
     out = capsys.readouterr().out
     assert "  as measured.theta[1]: -measured.theta[2]\n  as measured.theta[2]: measured.theta[1]\n" in out
-    # Zeros of a tip with lengths that are right; half a step of the encoder.
+    # The lengths are exact, so zeros found from the tip are off by half a step of the encoder at most.
     offset = float(out.partition('"encoder.offset[2]": ')[2].partition(",")[0])
     assert offset == pytest.approx(0.2, abs=1e-3)
     write_scene(**{"encoder.offset[2]": 0.2})
@@ -253,7 +253,7 @@ def test_a_record_of_the_twin_is_checked(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_messages_that_a_twin_would_refuse_are_named() -> None:
-    """Milliseconds; a misspelt field; silence."""
+    """Times in milliseconds, a misspelt field, and no messages at all."""
     slow = [
         (where, payload.replace(f'"time":{at}'.encode(), f'"time":{at // 10**6}'.encode()), at)
         for where, payload, at in samples(MOTION)
@@ -271,7 +271,7 @@ def test_messages_that_a_twin_would_refuse_are_named() -> None:
 
 @pytest.mark.nightly
 def test_it_listens_to_a_broker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A machine publishes until the check has ended; times and count are the machine's own, so that a busy computer changes nothing."""
+    """A machine publishes until the check ends. Times and counts come from the machine, so a busy computer changes nothing."""
     port = free_port()
     configuration.write(Config(str(tmp_path), "", "", broker=Broker(port=port)), tmp_path / "twin.json")
     command = [sys.executable, "-m", "fivebar.twin", "broker", "--config", str(tmp_path / "twin.json")]

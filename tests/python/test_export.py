@@ -1,4 +1,4 @@
-"""`fivebar export`: the messages of a record as series, scene and log; its files in the readers of their own libraries (nightly)."""
+"""`fivebar export`: messages become series, a scene and a log; nightly, the libraries of both formats read the files."""
 
 import json
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ SAMPLES = 100
 
 @pytest.fixture(scope="module")
 def story(fmu: Path, scenes: Path, library: Library, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A record with samples and estimates of half a second, and one message of each other kind, and one that is none."""
+    """A record of half a second of samples and estimates, one message of each other kind, and one malformed row."""
     config = configured(tmp_path_factory.mktemp("run"), fmu, library, scenes / "pick_and_place.json", exact=True)
     folder = Path(recorded(config, library, SAMPLES).folder)
     last = list(record.messages(folder, "est", refused=pytest.fail))[-1]
@@ -48,7 +48,7 @@ def story(fmu: Path, scenes: Path, library: Library, tmp_path_factory: pytest.Te
 
 
 class Kept:
-    """A writer that keeps everything."""
+    """A writer that stores all calls."""
 
     def __init__(self) -> None:
         self.series: dict[str, list[tuple[int, dict[str, float]]]] = {}
@@ -70,11 +70,11 @@ class Kept:
 
 
 def test_every_kind_of_message_is_passed_on(story: Path) -> None:
-    """Each leg has the lengths of its links, the band is about the tip, and a forecast stands at its own time."""
+    """Legs have the lengths of their links, the band surrounds the tip, and a forecast has its own time."""
     kept, machine = Kept(), work.machine(story)
     written = work.write(story, machine, kept)
     assert kept.is_closed and written.refused == 1
-    # The stand-in's samples, and the one beside them.
+    # The samples of the stand-in and one added sample.
     assert len(kept.series["meas"]) == SAMPLES + 1 and len(kept.series["est"]) == len(kept.scene["twin"]) > SAMPLES / 2
     for (_, fields), (_, legs) in zip(kept.series["est"], kept.scene["twin"], strict=True):
         for leg, proximal, distal in zip(legs, (0, 3), (1, 2), strict=True):
@@ -122,7 +122,7 @@ def test_a_format_is_needed(story: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.fixture
 def kept(story: Path) -> Kept:
-    """What both files have."""
+    """The series, scene and log that both files must contain."""
     found = Kept()
     work.write(story, work.machine(story), found)
     return found
@@ -130,7 +130,7 @@ def kept(story: Path) -> Kept:
 
 @pytest.mark.nightly
 def test_foxglove_s_file_in_the_reader_of_mcap(story: Path, kept: Kept, tmp_path: Path) -> None:
-    """Each series to the bit, with its times; legs, bands and log as messages of Foxglove's types."""
+    """Series and times are equal to the bit; legs, bands and log are messages of Foxglove's types."""
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory
 
@@ -161,7 +161,7 @@ def test_foxglove_s_file_in_the_reader_of_mcap(story: Path, kept: Kept, tmp_path
 
 @pytest.mark.nightly
 def test_rerun_s_file_in_the_reader_of_rerun(story: Path, kept: Kept, tmp_path: Path) -> None:
-    """Each series to the bit, with its times; as many changes of the scene as there are."""
+    """Series and times are equal to the bit, and each change of the scene is present."""
     from rerun.chunk import RrdReader
 
     assert main(["export", str(story), "--rerun", "-o", str(tmp_path)]) == 0

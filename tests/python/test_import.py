@@ -1,4 +1,4 @@
-"""`fivebar import`: tables, bags of ROS and maps; what is measured of the encoders; records that calibration and twin read."""
+"""`fivebar import`: tables, ROS bags and maps; measured steps and noise of encoders; records that calibration and twin read."""
 
 import json
 import math
@@ -30,14 +30,14 @@ ROUND = 1e-12
 
 
 def write_csv(file: Path, head: str, *columns: Any) -> Path:
-    """A table; without a head if it is empty."""
+    """Writes a table, without a head if `head` is empty."""
     rows = [",".join("" if math.isnan(x) else repr(float(x)) for x in row) for row in zip(*columns, strict=True)]
     file.write_text("\n".join([*([head] if head else []), *rows]) + "\n", encoding="utf-8")
     return file
 
 
 def write_map(folder: Path, **entries: Any) -> Path:
-    """A map of short names: t1 and t2 are the encoders."""
+    """Writes a map with the short names t1 and t2 for the encoders."""
     names = {"t1": "measured.theta[1]", "t2": "measured.theta[2]", "s1": "servo.theta[1]", "p1": "passive.theta[1]"}
     file = folder / "map.json"
     file.write_text(json.dumps({names.get(name, name): entry for name, entry in entries.items()}), encoding="utf-8")
@@ -45,7 +45,7 @@ def write_map(folder: Path, **entries: Any) -> Path:
 
 
 def write_bag(folder: Path, *topics: tuple[str, list[str], Any, Any]) -> Path:
-    """A bag of JointStates, received every 5 ms: topic, names of joints, stamps in s, positions (n, joints)."""
+    """Writes a bag of JointStates, received every 5 ms: topic, joint names, stamps in s, positions (n, joints)."""
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -67,7 +67,7 @@ def write_bag(folder: Path, *topics: tuple[str, list[str], Any, Any]) -> Path:
 
 
 def imported(tmp_path: Path, *files: Path, given: Path | None = None) -> recording.Recording:
-    """The record that the command writes, as its readers see it."""
+    """Runs the command and reads its record back."""
     options = ["--map", str(given)] if given else []
     assert main(["import", *map(str, files), *options, "-o", str(tmp_path / "record.csv")]) == 0
     return recording.read(tmp_path / "record.csv")
@@ -94,7 +94,7 @@ def test_units_signs_scales_and_offsets(tmp_path: Path) -> None:
     )
     found = imported(tmp_path, file, given=given)
     assert found.time == pytest.approx(GRID, abs=ROUND)
-    # Half a step of rounding.
+    # Rounding: half a step.
     assert found.columns["measured.theta[1]"] == pytest.approx(LEFT, abs=np.pi / 8192 + ROUND)
     assert found.columns["measured.theta[2]"] == pytest.approx(RIGHT, abs=ROUND)
     assert found.columns["tau[1]"] == pytest.approx(0.05 * GRID - 0.02, abs=ROUND)
@@ -118,7 +118,7 @@ def test_a_head_of_names_and_units_needs_no_map(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["ns", "s", "timestamp"])
 def test_a_table_may_be_parquet(tmp_path: Path, kind: str) -> None:
-    """Times since 1970 keep their ns, which floats do not have."""
+    """Times since 1970 keep their nanoseconds, which a float would lose."""
     ns = 1_790_000_000_123_456_789 + np.round(1e9 * GRID).astype(np.int64)
     clock = {"ns": pa.array(ns), "s": pa.array(GRID), "timestamp": pa.array(ns, pa.timestamp("ns"))}[kind]
     left = pa.array([None, *LEFT[1:].tolist()])
@@ -133,7 +133,7 @@ def test_a_table_may_be_parquet(tmp_path: Path, kind: str) -> None:
 
 
 def test_clocks_that_restart_and_several_files_are_series(tmp_path: Path) -> None:
-    """Each file, too; none of its rows is left out."""
+    """Each file is a series too, and no row is left out."""
     head = "time,theta[1],theta[2]"
     first = write_csv(tmp_path / "a.csv", head, [*(100 + GRID), *GRID], [*LEFT, *LEFT], [*RIGHT, *RIGHT])
     second = write_csv(tmp_path / "b.csv", head, 7 + GRID, LEFT, RIGHT)
@@ -146,7 +146,7 @@ def test_clocks_that_restart_and_several_files_are_series(tmp_path: Path) -> Non
 
 
 def test_files_with_different_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Without a map all columns of all files are told, and what is missing or named otherwise in one of them."""
+    """Without a map, the error lists the columns of all files, and the columns that one file lacks or names differently."""
     first = write_csv(tmp_path / "a.csv", "time,theta[1],theta[2],tau[1]", GRID, LEFT, RIGHT, 0 * GRID)
     second = write_csv(tmp_path / "b.csv", "time,measured.theta[1],theta[2],tau[2]", GRID, LEFT, RIGHT, 0 * GRID)
     imported(tmp_path, first, second)
@@ -168,7 +168,7 @@ def test_files_with_different_columns(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.parametrize("which", ["folder", "file"])
 def test_a_bag_of_joint_states(tmp_path: Path, which: str) -> None:
-    """By the names of joints, in any order; a distal link's angle may count from its proximal link."""
+    """Joints are found by name, in any order; a distal angle may be relative to its proximal link."""
     positions = np.column_stack([RIGHT, LEFT - 0.1, 0.4 + 0 * LEFT])
     bag = write_bag(tmp_path, ("/joint_states", ["r", "l", "pl"], GRID, positions))
     given = write_map(
@@ -186,7 +186,7 @@ def test_a_bag_of_joint_states(tmp_path: Path, which: str) -> None:
 
 
 def test_topics_with_clocks_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Encoders stay where they were sampled, commands hold; each note says by how much a value was moved."""
+    """Encoder samples keep their times, commands are constant between messages, and each note gives the shift in time."""
     slow = np.arange(0.0, 1.99, 0.03) + 0.001
     bag = write_bag(
         tmp_path,
@@ -202,7 +202,7 @@ def test_topics_with_clocks_of_their_own(tmp_path: Path, capsys: pytest.CaptureF
     )
     found = imported(tmp_path, bag, given=given)
     text = capsys.readouterr().out
-    # The right encoder is a tenth of a step late: one row has both.
+    # The right encoder is late by a tenth of a step: both go into one row.
     assert found.time == pytest.approx(GRID, abs=1e-9) and found.columns["measured.theta[2]"].tolist() == RIGHT.tolist()
     assert (
         "measured.theta[2] is from /right by the clock stamp, 400 values: each is in the nearest row, up to 0.5 ms away"
@@ -217,7 +217,7 @@ def test_topics_with_clocks_of_their_own(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_an_encoder_half_a_step_late_has_rows_of_its_own(tmp_path: Path) -> None:
-    """Nothing is resampled: of each row one encoder is empty, and calibration and twin count the rows."""
+    """Nothing is resampled: each row has one encoder, and calibration and twin count the rows."""
     bag = write_bag(tmp_path, ("/left", ["a"], GRID, LEFT[:, None]), ("/right", ["a"], GRID + 0.0025, RIGHT[:, None]))
     given = write_map(tmp_path, t1={"column": "/left/a/position"}, t2={"column": "/right/a/position"})
     found = imported(tmp_path, bag, given=given)
@@ -229,7 +229,7 @@ def test_an_encoder_half_a_step_late_has_rows_of_its_own(tmp_path: Path) -> None
 
 
 def test_the_clock_of_a_bag_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Stamps that fall back are series, and refused if several topics are to be put together; the recorder's clock serves then."""
+    """Stamps that fall back begin a new series. With several topics they are refused; the recorder's clock can be used instead."""
     jumps = np.concatenate([GRID[:200] + 50, GRID[:200]])
     bag = write_bag(tmp_path, ("/a", ["x"], jumps, LEFT[:, None]), ("/b", ["x"], jumps, RIGHT[:, None]))
     a, b = ({"column": f"/{topic}/x/position"} for topic in "ab")
@@ -245,14 +245,14 @@ def test_the_clock_of_a_bag_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "with the clocks stamp and received, not t" in capsys.readouterr().err
 
 
-# --- what is measured -----------------------------------------------------------------------------------------------------------------
+# --- measured properties of the encoders ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("step", "noise"), [(0.0, 2e-4), (3.1416e-4, 0.0), (1e-3, 0.0), (3.1416e-4, 5e-4), (2 * np.pi / 2**20, 2e-5)]
 )
 def test_steps_and_noise_are_measured(step: float, noise: float) -> None:
-    """A step to 0.1 %; noise to 15 %, four times the standard deviation of what 1,600 samples tell (windows of 50 have 22 independent differences)."""
+    """The step to 0.1 %; noise to 15 %, four standard deviations for 1,600 samples (windows of 50 have 22 independent differences)."""
     time = 0.005 * np.arange(1600)
     for seed in range(10):
         chance = np.random.default_rng(seed)
@@ -273,7 +273,7 @@ def test_rate_jitter_and_lost_samples_are_measured(tmp_path: Path, capsys: pytes
     file = write_csv(tmp_path / "a.csv", "time,theta[1],theta[2]", time[kept], LEFT[kept], RIGHT[kept])
     first, second = quality.measure(imported(tmp_path, file))
     assert first.lost == second.lost == 53 and first.gaps[0] == pytest.approx((0.995, 0.255), abs=5e-4)
-    # A distance has the jitter of two samples.
+    # An interval has the jitter of two samples.
     assert first.jitter == pytest.approx(1e-4 * np.sqrt(2), rel=0.2) and first.period == pytest.approx(0.005, rel=0.01)
     text = capsys.readouterr().out
     assert "measured.theta[1]: 347 samples, 200" in text and "53 lost, longest gap 0.25" in text
@@ -284,7 +284,7 @@ def test_rate_jitter_and_lost_samples_are_measured(tmp_path: Path, capsys: pytes
 
 
 def test_a_record_is_calibrated_and_played(tmp_path: Path, fmu: Path) -> None:
-    """A run of the unit, written as a stranger's logger would: both readers get the run's angles back."""
+    """A run of the unit in the format of another logger: both readers return the angles of the run."""
     result = simulate.run("pick_and_place", fmu=fmu)
     names = [f"{name}[{i}]" for name in ("theta", "servo.theta", "servo.omega") for i in (1, 2)]
     columns = [np.degrees(-result[name]) for name in names]
@@ -307,11 +307,11 @@ def test_a_record_is_calibrated_and_played(tmp_path: Path, fmu: Path) -> None:
     words = ["--scene", "pick_and_place", "--commands", "hold", "--no-proposal", "--parameters", "payload.mass"]
     assert main(["calibrate", str(record), *words, "--fmu", str(fmu), "--out", str(tmp_path / "out")]) == 0
     figures = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
-    # As of the run's own table: another step than the run's i3alp.
+    # As in the table of the run itself: the readers use another step than the run's i3alp.
     assert figures["series"] == 1 and max(figures["residuals_rad"]["encoder"]) < 1e-7
 
 
-# --- what a recording says twice -----------------------------------------------------------------------------------------------------
+# --- maps guessed from redundant columns ---------------------------------------------------------------------------------------------
 
 LENGTHS = {
     "base.distance": 0.1,
@@ -339,7 +339,7 @@ STEP = 2 * np.pi / 8192
 
 
 def machine_file(folder: Path, lengths: dict[str, float]) -> Path:
-    """A scene of a machine that begins where `MOTION` does."""
+    """Writes a scene that starts at the first angles of `MOTION`."""
     start = {f"init.theta[{i + 1}]": float(MOTION[0, i]) for i in (0, 1)}
     masses = {f"link[{i}].{what}": x for i in range(1, 5) for what, x in (("com", 0.04), ("inertia", 2e-5))}
     file = folder / "machine.json"
@@ -350,7 +350,7 @@ def machine_file(folder: Path, lengths: dict[str, float]) -> Path:
 def guessed(
     tmp_path: Path, table: Path, lengths: dict[str, float], text: Any, **entries: Any
 ) -> tuple[str, recording.Recording]:
-    """What the command prints with --guess, and the recording by the map that it proposes."""
+    """Returns the output with --guess, and the recording read with the proposed map."""
     given, scene = write_map(tmp_path, **entries), machine_file(tmp_path, lengths)
     record = ["-o", str(tmp_path / "record.csv")]
     assert main(["import", str(table), "--map", str(given), "--guess", str(scene), *record]) == 0
@@ -364,7 +364,7 @@ def guessed(
 def test_an_exchange_signs_and_zeros_are_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], told_by: str
 ) -> None:
-    """Encoders exchanged, the left one reversed, both with zeros anywhere: the map that is proposed gives the true angles."""
+    """Encoders are exchanged, the left one is reversed, both zeros are unknown: the proposed map gives the true angles."""
     machine = scenes.read(machine_file(tmp_path, LENGTHS))
     posture = Kinematics.from_scene(machine).forward(MOTION)
     left, right = np.round((1.3 - MOTION[:, 0]) / STEP) * STEP, np.round((MOTION[:, 1] - 0.7) / STEP) * STEP
@@ -384,14 +384,14 @@ def test_an_exchange_signs_and_zeros_are_found(
         and "not distinguishable" not in out
         and "not identified" not in out
     )
-    # Half a step of rounding, and 1 mrad for zeros: steps of 0.8 mrad and commands that are followed to 7 mrad have means over 400 samples that are ten times
-    # better.
+    # Rounding is half a step. Zeros are means over 400 samples of steps of 0.8 mrad and following errors of 7 mrad: 1 mrad is ten times
+    # their error.
     for name, column in zip(("measured.theta[1]", "measured.theta[2]"), MOTION.T, strict=True):
         assert found.columns[name] == pytest.approx(column, abs=STEP + 1e-3)
 
 
-def test_what_the_record_cannot_tell_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A machine of equal legs and its mirror image have the same angles; encoders alone tell no zeros."""
+def test_ambiguous_maps_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A machine with equal legs and its mirror image have the same angles; encoders alone do not determine zeros."""
     posture = Kinematics.from_values(ALIKE).forward(MOTION)
     relative = posture.theta[:, 1:3] - posture.theta[:, [0, 3]]
     file = write_csv(tmp_path / "a.csv", "time,a,b,x,y", GRID, *MOTION.T, *relative.T)
@@ -409,7 +409,7 @@ def test_what_the_record_cannot_tell_is_said(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_distal_links_and_turns_are_put_in_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Distal links exchanged and one reversed, an encoder a turn off."""
+    """Distal links are exchanged, one is reversed, and one encoder is off by a turn."""
     posture = Kinematics.from_values(LENGTHS).forward(MOTION)
     columns = [MOTION[:, 0] - 2 * np.pi, MOTION[:, 1], 0.3 - posture.theta[:, 2], posture.theta[:, 1]]
     file = write_csv(tmp_path / "a.csv", "time,a,b,x,y", GRID, *columns)
@@ -423,7 +423,7 @@ def test_distal_links_and_turns_are_put_in_order(tmp_path: Path, capsys: pytest.
 
 
 def test_evidence_of_another_machine_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Distal links of a machine twice as wide, and commands that nothing follows: the map stays."""
+    """Distal links of a machine twice as wide, and commands that no angle follows: the map stays unchanged."""
     posture = Kinematics.from_values(LENGTHS | {"link[2].length": 0.3, "link[3].length": 0.3}).forward(MOTION)
     commands = np.column_stack([np.sin(11 * GRID), np.cos(13 * GRID)])
     file = write_csv(tmp_path / "a.csv", "time,a,b,x,y,c,d", GRID, *MOTION.T, *posture.theta[:, 1:3].T, *commands.T)
@@ -442,7 +442,7 @@ def test_a_guess_needs_both_encoders(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert not (tmp_path / "record.csv").exists()
 
 
-# --- what is refused ------------------------------------------------------------------------------------------------------------------
+# --- refused input --------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -483,8 +483,8 @@ def test_a_wrong_map_is_refused(
     assert not (tmp_path / "record.csv").exists()
 
 
-def test_what_does_not_fit_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One sentence each, with what there is."""
+def test_unreadable_recordings_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each error is one sentence and lists what the file has."""
     file = write_csv(tmp_path / "a.csv", "time,q [deg],r [inch]", GRID, LEFT, RIGHT)
     bag = write_bag(tmp_path, ("/j", ["l"], GRID[:3], LEFT[:3, None]))
     (tmp_path / "b.db3").write_bytes(b"no bag" * 100)
@@ -518,7 +518,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_a_bag_without_its_package_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Tables need no package of ROS."""
+    """A bag needs the package; a table does not."""
     bag = write_bag(tmp_path, ("/j", ["l"], GRID, LEFT[:, None]))
     table = write_csv(tmp_path / "a.csv", "time,theta[1]", GRID, LEFT)
     installed = extras._installed
@@ -536,7 +536,7 @@ def test_a_bag_without_its_package_is_refused(
 
 @pytest.fixture
 def recordings() -> Path:
-    """The folder of recordings of real machines, other people's data that the repository does not have."""
+    """The folder with recordings of real machines. Others own these data, so the repository does not contain them."""
     folder = os.environ.get("FIVEBAR_RECORDINGS")
     if not folder:
         pytest.skip("FIVEBAR_RECORDINGS names no folder of recordings of real machines")
@@ -550,7 +550,7 @@ PANTOGRAPH = {
 
 
 def test_the_haptic_pantograph_of_others(tmp_path: Path, recordings: Path) -> None:
-    """Its encoders have 20,000 steps in a turn, which the bag has in 3.14e-4 rad."""
+    """Its encoders have 20,000 steps a turn; the bag contains steps of 3.14e-4 rad."""
     found = imported(tmp_path, recordings / "haptic_pantograph", given=write_map(tmp_path, **PANTOGRAPH))
     assert len(found.time) == 6055 and not found.begins and found.time[-1] == pytest.approx(60.57, abs=0.01)
     for each in quality.measure(found):
@@ -561,7 +561,7 @@ def test_the_haptic_pantograph_of_others(tmp_path: Path, recordings: Path) -> No
 def test_zeros_of_the_pantograph_are_found(
     tmp_path: Path, recordings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By its distal links, from a map without them: 147 and 33 degrees, as its authors have them."""
+    """A map without zeros: the distal links give 147 and 33 degrees, the values of the authors."""
     raw = {name: {"column": f"/joint_states/joint{i}/position"} for i, name in ((1, "t1"), (2, "t2"))}
     passive = {
         f"passive.theta[{i}]": {"column": f"/joint_states/joint{i + 2}/position", "relative": True} for i in (1, 2)
@@ -572,6 +572,6 @@ def test_zeros_of_the_pantograph_are_found(
     words = ["--map", str(write_map(tmp_path, **raw, **passive)), "--guess", str(scene), "-o", str(tmp_path / "r.csv")]
     assert main(["import", str(recordings / "haptic_pantograph"), *words]) == 0
     proposed = json.loads(capsys.readouterr().out.partition("proposed map:")[2].partition("\n\nwritten:")[0])
-    # 1.2 and 1.3 mrad off, with standard deviations of as much: its distal angles are a cycle late.
+    # Off by 1.2 and 1.3 mrad, with equal standard deviations: the distal angles are late by a cycle.
     assert proposed["measured.theta[1]"]["offset"] == pytest.approx(np.radians(147), abs=5e-3)
     assert proposed["measured.theta[2]"]["offset"] == pytest.approx(np.radians(33), abs=5e-3)

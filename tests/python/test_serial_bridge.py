@@ -1,4 +1,4 @@
-"""examples/serial_bridge.py with a simulated board at a pseudo-terminal: noise, overflows, a reset, lost lines, commands."""
+"""examples/serial_bridge.py with a simulated board on a pseudo-terminal: noise, overflows, a reset, lost lines, commands."""
 
 import importlib
 import json
@@ -39,7 +39,7 @@ def bridge(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def line(seq: int, micros: int, counts: tuple[int, int]) -> bytes:
-    """As the board's 16 and 32 bits have it."""
+    """A line of the board, with counters of 16 and 32 bits."""
     text = b"%d %d %d %d" % (seq % 2**16, micros % 2**32, *(count % 2**16 for count in counts))
     check = 0
     for byte in text:
@@ -48,14 +48,14 @@ def line(seq: int, micros: int, counts: tuple[int, int]) -> bytes:
 
 
 class Board:
-    """Samples of a machine in 5 ms of the board's own clock, which overflows soon; true values beside them."""
+    """Samples every 5 ms of the board's clock, which soon overflows, and the true values."""
 
     def __init__(self) -> None:
         self.seq, self.micros, self.phase = 0, 2**32 - 700_000, 0
 
     def next(self) -> tuple[bytes, int, tuple[float, float]]:
-        """A line, the board's clock without overflows, and the angles, rad."""
-        # Up to 40,000 counts of either sign: beyond 16 bits, in steps that a counter with 16 bits resolves.
+        """Returns a line, the board's time without overflows, and the angles, rad."""
+        # Up to ±40,000 counts: more than 16 bits, in increments that a 16-bit counter can follow.
         turns = (-math.sin(0.05 * self.phase), 1 - math.cos(0.03 * self.phase))
         counts = (round(40_000 * turns[0]), round(20_000 * turns[1]))
         found = line(self.seq, self.micros, counts)
@@ -67,17 +67,17 @@ class Board:
         return found, at, (angles[0], angles[1])
 
     def reset(self) -> None:
-        """Begins again at its stops, with another clock."""
+        """Restarts at the stops with another clock."""
         self.seq, self.micros, self.phase = 0, 900_000, 0
 
 
 def admitted(intake: Intake, message: dict[str, Any], now: int) -> str:
-    """Whether the twin takes a message that arrives now."""
+    """Whether the twin accepts a message that arrives now."""
     return intake.admit(decode("fivebar/bench/meas", json.dumps(message).encode()), now)
 
 
 def test_overflows_noise_and_lost_lines_change_no_value(bridge: Any) -> None:
-    """Times and counts of samples are the board's, whenever the lines arrive; a changed line is left out. The twin takes every sample."""
+    """Samples have the board's times and counts, however late the lines arrive; a damaged line is skipped. The twin accepts every sample."""
     board, found, chance, intake = Board(), bridge.Bridge(), random.Random(1), Intake(Config.period)
     first = board.micros
     left_out = begin = 0
@@ -103,8 +103,8 @@ def test_overflows_noise_and_lost_lines_change_no_value(bridge: Any) -> None:
 
 
 @pytest.mark.parametrize("samples", [3, 400, 40_000])
-def test_a_board_that_begins_again_continues_the_count(bridge: Any, samples: int) -> None:
-    """After 15 ms its clock is further than before and its count has fallen back; after 200 s the other way round, as 16 bits see it."""
+def test_a_board_that_restarts_continues_the_count(bridge: Any, samples: int) -> None:
+    """After 15 ms the board's clock is ahead and its count behind; after 200 s the reverse, modulo 16 bits."""
     board, found, intake = Board(), bridge.Bridge(), Intake(Config.period)
     board.micros = 0
     for _ in range(samples):
@@ -120,12 +120,12 @@ def test_a_board_that_begins_again_continues_the_count(bridge: Any, samples: int
 
 
 @pytest.mark.parametrize("text", [b"", b"\n", b"*00\n", b"ready\n", b"1 2 3*30\n", b"\xff\xfe*01\n", b"00"])
-def test_what_is_no_sample_is_left_out(bridge: Any, text: bytes) -> None:
+def test_malformed_lines_are_skipped(bridge: Any, text: bytes) -> None:
     assert bridge.Bridge().sample(text, 10**18) is None
 
 
 def test_the_page_has_the_figures_of_the_example(bridge: Any) -> None:
-    """Its code prints what it says, its map is a map, and both have the axes of the example."""
+    """The code on the page prints the stated output, its map is valid, and both use the axes of the example."""
     page = (REPOSITORY / "docs" / "hardware.md").read_text(encoding="utf-8")
     [code] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -150,7 +150,7 @@ def broker(tmp_path: Path) -> Iterator[int]:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
 def test_a_board_at_a_pseudo_terminal(broker: int) -> None:
-    """A command reaches the board; then each good line arrives once, in order, with the board's times. Nothing waits for a clock."""
+    """A command reaches the board; then each valid line arrives once, in order, with the board's times. The test does not wait for a clock."""
     got: list[Message] = []
     subscribed = threading.Event()
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
@@ -172,7 +172,7 @@ def test_a_board_at_a_pseudo_terminal(broker: int) -> None:
     command = [sys.executable, str(EXAMPLE), os.ttyname(theirs), "127.0.0.1", str(broker)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
-        # A command that cannot be read goes nowhere. They are repeated until the program has opened its port and subscribed.
+        # Unreadable commands are dropped. Commands repeat until the program has opened its port and subscribed.
         angles = {"servo.theta[1]": STOPS[0] - 0.5, "servo.theta[2]": STOPS[1] + 0.25}
         text = b"%d %d*" % tuple(round(angle * STEPS / (2 * math.pi)) for angle in (0.5, 0.25))
         heard = b""
@@ -191,7 +191,7 @@ def test_a_board_at_a_pseudo_terminal(broker: int) -> None:
         for k in range(300):
             line, micros, truth = board.next()
             if k % 7 == 3:
-                # Noise: a part of a line, and bytes that are no text.
+                # Noise: half a line, and bytes that are not text.
                 line = line[: len(line) // 2] + b"\x00\xff\n"
             elif k % 11 == 5:
                 continue

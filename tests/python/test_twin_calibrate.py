@@ -1,4 +1,4 @@
-"""`fivebar calibrate`: unknowns of made records are found within their bars; what cannot be found is refused and named."""
+"""`fivebar calibrate`: unknowns of made records are found within their error bars; unknowns that cannot be found are named."""
 
 import json
 import math
@@ -60,7 +60,7 @@ def made(
     more: dict[str, float | bool] | None = None,
     base: dict[str, float | bool] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Columns of a record of a machine with those unknowns."""
+    """Columns of a record of a machine with the given unknowns."""
     base = (base or (BASE if servo else SINKING)) | (more or {})
     machine = motion.Machine(library, base, parameters.parameters(names, library, base))
     machine.tolerance(1e-10)
@@ -83,7 +83,7 @@ def made(
 
 
 def write(file: Path, columns: dict[str, np.ndarray]) -> Path:
-    """As CSV; NaN are empty."""
+    """Writes CSV; NaN becomes an empty cell."""
     rows = [",".join(columns)] + [
         ",".join("" if math.isnan(x) else repr(float(x)) for x in row) for row in zip(*columns.values(), strict=True)
     ]
@@ -92,14 +92,14 @@ def write(file: Path, columns: dict[str, np.ndarray]) -> Path:
 
 
 def sought(names: list[str]) -> list[str]:
-    """Options that name what is sought."""
+    """Options of the command that name the unknowns."""
     return [word for name in names for word in ("--parameters", name)]
 
 
 def calibrated(
     fmu: Path, file: Path, tmp_path: Path, names: list[str], *more: str, base: dict[str, float | bool] | None = None
 ) -> tuple[int, dict]:
-    """Exit code and figures of the command."""
+    """Runs the command; returns exit code and results."""
     scene = tmp_path / "scene.json"
     scene.write_text(json.dumps({"description": "before"} | (base or BASE)), encoding="utf-8")
     code = main(
@@ -120,7 +120,7 @@ def calibrated(
 
 
 def test_unknowns_are_found_within_their_bars(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """White noise: bars are the bound. The scene that is written holds what was found, and is read again."""
+    """For white noise the error bars reach the Cramér–Rao bound. The written scene contains the found values and can be read."""
     names = ["payload.mass", "link[2,3].mass", "viscous.b"]
     columns = made(library, names, [1.2, 0.9, 1.3], 1.5)
     code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, names)
@@ -141,7 +141,7 @@ def test_unknowns_are_found_within_their_bars(fmu: Path, library: Library, tmp_p
 def test_the_function_finds_what_the_command_finds(
     fmu: Path, library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From a file, from a dict of columns and from a frame, with the time as a column or as the index; nothing is printed."""
+    """Input may be a file, a dict of columns or a data frame, with time as column or index; nothing is printed."""
     monkeypatch.setenv("FIVEBAR_FMU", str(fmu))
     names = ["payload.mass", "link[2,3].mass", "friction.coulomb[1]"]
     columns = made(library, names[:2], [1.2, 0.9], 1.2)
@@ -203,7 +203,7 @@ def test_the_function_refuses_in_one_sentence(
         fivebar.calibrate(record, {"payload.enabled": True}, **({"parameters": ["payload.mass"]} | more), fmu=fmu)  # type: ignore[arg-type]
 
 
-def test_nothing_identified_is_no_scene(fmu: Path, library: Library) -> None:
+def test_no_scene_if_nothing_is_identified(fmu: Path, library: Library) -> None:
     columns = made(library, SCALE, [1.2, 1.0, 1.0, 1.0, 1.0, 1.0], 1.2, base=WEIGHTLESS)
     found = fivebar.calibrate(columns, WEIGHTLESS, SCALE, fmu=fmu)
     assert found.values == {} and repr(found) == "<fivebar calibration: nothing is identified>"
@@ -212,7 +212,7 @@ def test_nothing_identified_is_no_scene(fmu: Path, library: Library) -> None:
 
 
 def driven(library: Library, base: dict[str, float | bool], seconds: float) -> dict[str, np.ndarray]:
-    """Columns of a record of a machine that torques turn; they are constant between samples."""
+    """Columns of a record of a machine driven by torques that are constant between samples."""
     time = np.arange(0.0, seconds + trials.PERIOD / 2, trials.PERIOD)
     torques = 0.02 * np.column_stack([np.sin(9.0 * time), np.cos(7.0 * time)])
     samples = data.Samples(time, np.zeros((len(time), 2)), torques, ("tau[1]", "tau[2]"))
@@ -228,7 +228,7 @@ def driven(library: Library, base: dict[str, float | bool], seconds: float) -> d
 
 @pytest.mark.parametrize("between", ["rate", "linear", "hold"])
 def test_a_run_takes_the_steps_of_a_live_unit(library: Library, between: motion.Between) -> None:
-    """The same bits, for servo commands with their rates as for torques."""
+    """The bits are equal, both for torques and for servo commands with rates."""
     for columns in (made(library, ["payload.mass"], [1.0], 0.2), driven(library, SINKING, 0.2)):
         names = tuple(name for name in columns if name.startswith(("servo", "tau")))
         samples = data.Samples(
@@ -255,7 +255,7 @@ def test_a_run_takes_the_steps_of_a_live_unit(library: Library, between: motion.
 
 
 def test_the_usual_unknowns_of_a_record_take_few_runs(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """10 s and 15 unknowns. Derivatives on both sides and all shortest pieces would take 6,969 runs."""
+    """10 s and 15 unknowns. Central differences and all shortest pieces would take 6,969 runs."""
     file = played(tmp_path, fmu, library, "pick_and_place", 2000)
     words = ["--fmu", str(fmu), "--scene", "pick_and_place", "--out", str(tmp_path / "out"), "--no-proposal"]
     assert main(["calibrate", str(file), *words]) in (0, 1)
@@ -264,7 +264,7 @@ def test_the_usual_unknowns_of_a_record_take_few_runs(fmu: Path, library: Librar
 
 
 def test_torque_constants_are_found_from_currents(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """A record with currents in the place of torques: 0.05 and 0.08 N.m/A, which weights and inertias of the scene tell."""
+    """A record has currents instead of torques: weights and inertias of the scene determine 0.05 and 0.08 N.m/A."""
     columns = driven(library, SINKING, 1.5)
     for i, constant in ((1, 0.05), (2, 0.08)):
         columns[f"tau[{i}]"] = columns[f"tau[{i}]"] / constant
@@ -284,17 +284,17 @@ def test_torque_constants_are_found_from_currents(fmu: Path, library: Library, t
 
 
 def test_a_tilt_is_found_from_an_upright_start(library: Library) -> None:
-    """The derivative against the tilt is 0 for an upright machine, at which the fit begins."""
+    """The fit starts from an upright machine, where the derivative with respect to tilt is 0."""
     names = ["gravity.tilt", "link[2,3].mass"]
     columns = made(library, names, [(1.2 - math.pi / 2) / parameters.MUCH_ANGLE, 0.95], 1.5, servo=False)
     found = fivebar.calibrate(columns, SINKING, names, fmu=library.fmu)
     assert abs(found.values["gravity.tilt"] - 1.2) < 4 / 1.96 * found.bars["gravity.tilt"] < 0.02
 
 
-def test_stages_say_what_they_explain(
+def test_stages_report_their_unknowns(
     fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Gravity from another side and friction first, then masses."""
+    """First gravity in another direction and friction, then masses."""
     names = ["link[2,3].mass", "viscous.b", "gravity.direction"]
     turned = (-1.2 + math.pi / 2) / parameters.MUCH_ANGLE
     columns = made(library, names, [0.9, 3.0, turned], 2.0)
@@ -307,7 +307,7 @@ def test_stages_say_what_they_explain(
     ]
     assert [stage["seconds"] for stage in stages] == [0.1, 0.1, 0.1, 0.5, 2.0]
     assert all(stage["after"] < 0.9 * stage["before"] for stage in stages[:3])
-    # The noise of `made` is 0.1 mrad. Pieces that began in the wrong assembly left 2 mrad at the end of the stages.
+    # The noise of `made` is 0.1 mrad. Pieces that started in the wrong assembly would leave 2 mrad.
     assert stages[2]["after"] < 1.1e-4 and stages[-1]["after"] < 1.1e-4
     told = capsys.readouterr()
     assert (
@@ -326,7 +326,7 @@ def test_stages_say_what_they_explain(
     ],
 )
 def test_wrong_assumptions_are_named_before_the_long_fits(how: str, sentence: str, library: Library) -> None:
-    """Nothing was identified after minutes; masses in the scene are off as well."""
+    """Masses in the scene are wrong as well. Without these warnings the fit took minutes and identified nothing."""
     names, scene = ["payload.mass", "link[2,3].mass", "viscous.b"], BASE
     if how == "reversed":
         names, scene = names[:2], SINKING
@@ -347,7 +347,7 @@ def test_wrong_assumptions_are_named_before_the_long_fits(how: str, sentence: st
 
 
 def test_rough_data(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """Outliers, silent encoders, lost samples, a gap, a delay of 7 ms and offsets, all at once."""
+    """Outliers, missing readings, lost samples, a gap, a delay of 7 ms and offsets, all at once."""
     names = ["payload.mass", "encoder.offset[1]", "encoder.offset[2]", "encoder.delay"]
     columns = made(library, names, [1.1, 0.05, -0.1, 0.35], 2.5)
     chance = np.random.default_rng(2)
@@ -367,13 +367,13 @@ def test_rough_data(fmu: Path, library: Library, tmp_path: Path) -> None:
 
 
 def test_series_of_a_clock_that_restarts_are_fitted_together(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """Two records of the same times one behind the other: half of the rows was left out, and one series was made of the rest."""
+    """Two records with equal times in one file: no row is left out, and each is a series."""
     names = ["payload.mass", "link[2,3].mass"]
     first, second = (made(library, names, [1.2, 0.9], seconds) for seconds in (1.5, 1.2))
     columns = {name: np.concatenate([first[name], second[name]]) for name in first}
     code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, names)
     assert code == 0 and figures["series"] == 2 and figures["samples"] == len(columns["time"])
-    # The noise of `made` is 1e-4 rad; residuals of series that are fitted together are not larger.
+    # The noise of `made` is 1e-4 rad; fitting both series together adds no residual.
     assert max(figures["residuals_rad"]["encoder"]) < 1.2e-4
     for name, truth in (("payload.mass", 1.2 * 0.02), ("link[2,3].mass", 0.9 * 0.017)):
         value, bar = (next(iter(figures["unknowns"][name][key].values())) for key in ("value", "bar95"))
@@ -381,21 +381,21 @@ def test_series_of_a_clock_that_restarts_are_fitted_together(fmu: Path, library:
 
 
 def test_a_run_is_calibrated_as_it_was_written(fmu: Path, tmp_path: Path) -> None:
-    """`fivebar run` holds commands between communication points; its table needs no change."""
+    """In `fivebar run` commands are constant between communication points; calibration reads its table unchanged."""
     common = ["--fmu", str(fmu), "--out"]
     assert main(["run", "pick_and_place", *common, str(tmp_path / "run")]) == 0
     file = tmp_path / "run" / "pick_and_place.csv"
     words = ["--scene", "pick_and_place", "--commands", "hold", "--no-proposal", *sought(["payload.mass"])]
     assert main(["calibrate", str(file), *words, *common, str(tmp_path / "out")]) == 0
     figures = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
-    # Another step than the run's i3alp: 1.2e-8 rad were measured.
+    # Calibration takes another step than the run's i3alp: measured difference 1.2e-8 rad.
     assert figures["series"] == 1 and max(figures["residuals_rad"]["encoder"]) < 1e-7
 
 
-def test_what_cannot_be_identified_is_refused_and_named(
+def test_unidentifiable_parameters_are_refused_and_named(
     fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A machine that sinks freely does not tell a common factor of its masses; led by servos it would."""
+    """Free fall does not determine a common factor of the masses; a motion led by servos would."""
     names = ["payload.mass", "link.mass", "encoder.offset[1]"]
     columns = made(library, names, [1.0, 1.0, 0.01], 1.2, servo=False)
     code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, names, base=SINKING)
@@ -405,7 +405,7 @@ def test_what_cannot_be_identified_is_refused_and_named(
         and unknowns["payload.mass"]["value"] is None
         and not unknowns["link.mass"]["identified"]
     )
-    # With the first longer pieces, not after minutes.
+    # The refusal comes with the first longer pieces, not after minutes.
     assert "these pieces tell 2 of 3 combinations of the unknowns" in capsys.readouterr().err
     (sentence,) = figures["not_identified"]
     assert re.fullmatch("a common factor of (payload.mass, link.mass|link.mass, payload.mass): .*", sentence), sentence
@@ -423,8 +423,8 @@ SCALE = ["payload.mass", "link.mass", "servo.kp", "servo.kd", "servo.limit", "vi
 WEIGHTLESS = BASE | {"gravity.enabled": False}
 
 
-def test_what_is_not_identified_stays_as_it_is_in_the_scene(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """Of a payload that is a fifth off gains of servos took a part, and were written."""
+def test_parameters_that_are_not_identified_keep_the_scene_s_value(fmu: Path, library: Library, tmp_path: Path) -> None:
+    """The payload is off by a fifth; servo gains that absorbed a part of it must not be written."""
     columns = made(library, [*SCALE, OFFSETS[0]], [1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 0.05], 1.2, base=WEIGHTLESS)
     code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, [*SCALE, OFFSETS[0]], base=WEIGHTLESS)
     identified = {name for name, unknown in figures["unknowns"].items() if unknown["identified"]}
@@ -438,10 +438,10 @@ def test_what_is_not_identified_stays_as_it_is_in_the_scene(fmu: Path, library: 
     assert "Not identified, and as before: payload.mass, link.mass, " in written.description
 
 
-def test_a_scene_is_not_written_of_a_record_that_tells_nothing(
+def test_no_scene_is_written_from_an_uninformative_record(
     fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nor do those of an earlier record stay, of which `fivebar unit` would make this machine, unless the fit begins from one."""
+    """Scenes of an earlier record are removed, so that `fivebar unit` does not use them, unless the fit starts from one."""
     out = tmp_path / "out"
     out.mkdir()
     (out / "calibrated.json").write_text(json.dumps({"description": "before"} | WEIGHTLESS), encoding="utf-8")
@@ -460,7 +460,7 @@ def test_a_scene_is_not_written_of_a_record_that_tells_nothing(
 def test_a_value_at_its_bound_is_not_identified(
     fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A payload of 0.4 g ± 9.3 g counted as known. A machine that cannot be is named as well."""
+    """A payload of 0.4 g ± 9.3 g is not identified, and an impossible machine is named."""
     base, names = BASE | {"link[4].inertia": 2e-4}, ["payload.mass", "viscous.b"]
     file = write(tmp_path / "a.csv", made(library, names, [0.0, 1.2], 1.2, base=base))
     code, figures = calibrated(fmu, file, tmp_path, names, base=base)
@@ -476,8 +476,8 @@ def test_a_value_at_its_bound_is_not_identified(
     assert scenes_of.read(tmp_path / "out" / "calibrated.json", library.known)["payload.mass"] == BASE["payload.mass"]
 
 
-def test_lengths_that_a_record_does_not_tell_are_the_scenes(library: Library) -> None:
-    """Without weight a larger and lighter machine moves alike. Masses are found as far as the scene's lengths are right, which their bars say."""
+def test_lengths_that_are_not_identified_are_the_scenes(library: Library) -> None:
+    """Without weight a larger, lighter machine moves alike. Masses depend on the scene's lengths, and their error bars include this."""
     names = ["payload.mass", "link.mass", "link.length", "base.distance"]
     truth = np.array([1.2, 0.9, 1.001, 1.001])
     unknowns = parameters.parameters(names, library, WEIGHTLESS)
@@ -492,13 +492,13 @@ def test_lengths_that_a_record_does_not_tell_are_the_scenes(library: Library) ->
     assert not any(free.judgement.identified)
     assert result.judgement.identified == [True, True, False, False]
     off, bars = np.abs(result.fit.x - truth)[:2], result.judgement.sigma[:2]
-    # 0.1 % of the lengths are 0.2 % of the masses, of which bars of 0.001 % would not know.
+    # Lengths off by 0.1 % make masses off by 0.2 %; noise alone would give error bars of 0.001 %.
     assert np.all(off < 4 * bars) and np.all((bars > 1e-3) & (bars < 5e-3))
     assert "link.length: the record is less accurate than the scene, " in result.judgement.not_identified(unknowns)[0]
 
 
-def test_derivatives_are_those_at_the_solution(library: Library) -> None:
-    """Those with which a fit of stiff servos came there, 0.1 mrad off, counted as wrong by 0.01 to 0.1 %, and no mass was identified."""
+def test_derivatives_are_taken_at_the_solution(library: Library) -> None:
+    """Derivatives from 0.1 mrad away were wrong by 0.01 to 0.1 % with stiff servos, and no mass was identified."""
     names = ["payload.mass", "link[1,4].mass", "link[2,3].mass"]
     stiff = WEIGHTLESS | {f"servo.{gain}[{i}]": value for gain, value in (("kp", 20.0), ("kd", 0.5)) for i in (1, 2)}
     columns = made(library, names, [1.2, 0.95, 1.05], 1.2, base=stiff)
@@ -509,12 +509,12 @@ def test_derivatives_are_those_at_the_solution(library: Library) -> None:
     found = fitter.run()
     device.close()
     error = np.linalg.norm(found.doubt[:, :3], axis=0) / np.linalg.norm(found.jacobian[:, :3], axis=0)
-    # Truncation and round-off of the runs leave 1e-9.
+    # Truncation and round-off of the runs are 1e-9.
     assert np.all(error < 1e-6), error
 
 
 def test_correlations_are_numbers_whatever_residuals_are(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The estimate of a covariance from correlated residuals may have a negative variance; JSON knows no nan."""
+    """A covariance estimated from correlated residuals may have a negative variance; JSON has no NaN."""
     names = ["payload.mass", "link[1,4].mass"]
     columns = made(library, names, [1.2, 0.95], 1.2)
     unknowns = parameters.parameters(names, library, BASE)
@@ -551,13 +551,13 @@ def test_a_twin_and_two_calibrations_find_the_machine(
     exact = bool(sought_here)
     common = ["--fmu", str(fmu), *sought(sought_here)]
     first = sampled(configured(tmp_path / "first", fmu, library, name, exact=exact), library, seconds)
-    # A fit that comes to no end is given up, with a motion on which one does.
+    # A fit that does not converge ends with a proposed motion that converges.
     assert main(["calibrate", str(first), "--out", str(tmp_path / "before"), *common]) in (0, 1, 2)
     told = capsys.readouterr().out.splitlines()
     (line,) = (line for line in told if line.startswith("  fivebar twin "))
     given, length = (shlex.split(line)[k] for k in (3, 5))
     assert shlex.split(line) == ["fivebar", "twin", "--scene", given, "--seconds", length]
-    # The machine is the one before, but for its start and, where it had none, its servos.
+    # Same machine as before, except its start and, if it had none, its servos.
     before, proposed = (scenes_of.read(scene, library.known) for scene in (name, given))
     changed = {each for each in library.known.start if before[each] != proposed[each]} - before.signals.keys()
     assert all(each.startswith(("init.", "servo.", "tau[", "tip.f")) for each in changed), changed
@@ -585,7 +585,7 @@ def test_a_user_finds_the_machine_by_the_commands_that_are_printed(fmu: Path, tm
     def fivebar(*words: str) -> str:
         command = [sys.executable, "-m", "fivebar", *words]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-        # 3: forecasts of a busy machine may come late.
+        # Exit code 3: on a busy machine forecasts may come late.
         assert done.returncode in ((0, 3) if words[0] == "twin" else (0, 1)), done.stdout + done.stderr
         return done.stdout
 
@@ -606,7 +606,7 @@ def test_a_user_finds_the_machine_by_the_commands_that_are_printed(fmu: Path, tm
 
 
 def sampled(config: Config, library: Library, seconds: float) -> Path:
-    """A record of the samples of a stand-in."""
+    """A record with the samples of a stand-in."""
     source, about = machine(config, library), setup.of_run(config, twin_scene.read(Path(config.scene)), library.guid)
     messages = [about.to_message(config.unit, BEGIN), *(source.next() for _ in range(round(seconds / config.period)))]
     source.close()
@@ -625,7 +625,7 @@ def played(
     offsets: tuple[float, float] | None = None,
     origin: str = "0",
 ) -> Path:
-    """A table of the samples that the stand-in of a scene sends; times are decimals from `origin` s on."""
+    """A table of the samples of a stand-in; times are decimals that start at `origin` s."""
     config = configured(folder, fmu, library, name, exact=True)
     if offsets is not None:
         hidden = {"payload.mass": 0.06} | dict(zip(parameters.OFFSETS, offsets, strict=True))
@@ -643,7 +643,7 @@ def played(
 
 
 def test_a_chaotic_motion_is_followed_from_short_pieces_on(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """Springs throw the links about: a start that is guessed was lost within half a second, and the record refused."""
+    """Springs throw the links about, so a guessed start is lost within half a second; the record must not be refused."""
     file = played(tmp_path, fmu, library, "spring_payload", 800)
     out = ["--fmu", str(fmu), "--scene", "spring_payload", "--out", str(tmp_path / "out"), "--no-proposal"]
     names = ["payload.mass", *(f"link[{i}].mass" for i in (1, 2, 3, 4)), "viscous.b"]
@@ -659,7 +659,7 @@ def test_a_chaotic_motion_is_followed_from_short_pieces_on(fmu: Path, library: L
 def test_offsets_are_those_of_encoders_that_servos_close_on(
     fmu: Path, library: Library, tmp_path: Path, offsets: tuple[float, float]
 ) -> None:
-    """The bars hold the true offsets, whatever these are; they held others while servos were taken to close on true angles."""
+    """The error bars contain the true offsets. They did not while servos were assumed to use true angles."""
     soft = {"servo.enabled": True} | {
         f"servo.{gain}[{i}]": value for gain, value in (("kp", 2.0), ("kd", 0.02)) for i in (1, 2)
     }
@@ -679,7 +679,7 @@ def test_offsets_are_those_of_encoders_that_servos_close_on(
 
 
 def springs(turns: int) -> dict[str, float | bool]:
-    """Springs near the start, so many turns away."""
+    """Springs at the start angles plus the given number of turns."""
     angles = {f"spring.theta0[{i}]": angle + 2 * math.pi * turns for i, angle in ((1, 2.5), (2, 1.2))}
     return {"spring.enabled": True, "spring.k[1]": 0.1, "spring.k[2]": 0.1} | angles
 
@@ -688,12 +688,12 @@ def springs(turns: int) -> dict[str, float | bool]:
 def test_an_encoder_may_count_from_another_turn(
     lowest: float, fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Absolute encoders from 0 or up to 2.3 rad, one of which leaps by a turn, and springs two turns away: the machine was called another one."""
+    """Absolute encoders, one with a jump of a turn, and springs two turns away: the record is still of this machine."""
     columns = made(library, ["payload.mass"], [1.1], 1.5, servo=False, more=springs(0))
     angles = ("measured.theta[1]", "measured.theta[2]")
     absolute = {name: lowest + (columns[name] - lowest) % (2 * math.pi) for name in angles}
     assert (max(np.abs(np.diff(column)).max() for column in absolute.values()) > math.pi) == (lowest < 0)
-    # One sample is wrong.
+    # One wrong sample.
     absolute["measured.theta[1]"][40] += 3.2
     scene = SINKING | springs(-2)
     code, found = calibrated(fmu, write(tmp_path / "a.csv", columns | absolute), tmp_path, ["payload.mass"], base=scene)
@@ -709,7 +709,7 @@ def test_an_encoder_may_count_from_another_turn(
 
 
 def test_the_origin_of_time_does_not_matter(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """A verdict changed with 1e9 s added, where floats have steps of 0.1 us."""
+    """Adding 1e9 s, at which floats have steps of 0.1 us, does not change the verdict."""
     tables = [
         data.read(played(tmp_path, fmu, library, "pick_and_place", 40, origin=origin), 0.0, 10.0).series[0]
         for origin in ("0", "1000000000")
@@ -718,7 +718,7 @@ def test_the_origin_of_time_does_not_matter(fmu: Path, library: Library, tmp_pat
 
 
 def test_a_fit_that_fails_is_not_called_another_machine() -> None:
-    """A scene whose own values follow short pieces is of this machine."""
+    """If the scene's own values follow short pieces, the scene is of this machine."""
     found = SimpleNamespace(sigma=np.array([1.0, 1.0]), rms_before=1.7e-4)
     assert calibration.suspicion(found, np.array([1e-6, 1e-6]))[0].startswith(
         "refused: the fit failed: residuals of encoder 1 are 1e+03 mrad after the fit"
@@ -728,7 +728,7 @@ def test_a_fit_that_fails_is_not_called_another_machine() -> None:
 
 
 def test_records_of_the_pipeline(tmp_path: Path) -> None:
-    """Samples come in the order of their count; doubled and malformed ones are counted and left out."""
+    """Samples are sorted by their count; doubled and malformed ones are counted and left out."""
     messages = [
         Message(
             "meas", "bench", 1_000_000_000 + 5_000_000 * k, k, {"measured.theta[1]": 0.1 * k, "servo.theta[1]": 1.0}
@@ -748,7 +748,7 @@ def test_records_of_the_pipeline(tmp_path: Path) -> None:
 
 
 def test_a_machine_whose_clock_is_set_back_has_series_that_do_not_overlap(tmp_path: Path) -> None:
-    """Pieces of a fit are found by their times: those of another series must not be among them."""
+    """A fit finds its pieces by time: pieces of another series must not be among them."""
     times = [1_000_000_000 + 5_000_000 * (k if k < 30 else k - 25) for k in range(60)]
     messages = [Message("meas", "bench", time, k, {"measured.theta[1]": 0.1 * k}) for k, time in enumerate(times)]
     record.write_part(tmp_path, 0, 1, [record.Row(topic("bench", "meas"), m.time, m.seq, encode(m)) for m in messages])
@@ -757,7 +757,7 @@ def test_a_machine_whose_clock_is_set_back_has_series_that_do_not_overlap(tmp_pa
 
 
 def misused(columns: dict[str, np.ndarray], how: str) -> dict[str, np.ndarray]:
-    """Data that a user may give by mistake."""
+    """Records that a user may give by mistake."""
     angles = ("measured.theta[1]", "measured.theta[2]")
     if how == "still":
         noise = np.random.default_rng(3).standard_normal((2, len(columns["time"])))
@@ -781,10 +781,10 @@ def misused(columns: dict[str, np.ndarray], how: str) -> dict[str, np.ndarray]:
         ("short", "the record has 0.945 s; 1 s or more are needed"),
     ],
 )
-def test_what_no_machine_can_be_found_from_is_refused(
+def test_unusable_records_are_refused(
     how: str, sentence: str, fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A record at rest gave 53.3 ± 1.3 g for 20.07 g, and exit code 0; swapped encoders took minutes."""
+    """A record at rest once gave 53.3 ± 1.3 g for 20.07 g with exit code 0; swapped encoders took minutes."""
     names = ["payload.mass"]
     (tmp_path / "scene.json").write_text(json.dumps({"description": "before"} | BASE), encoding="utf-8")
     file = write(tmp_path / "a.csv", misused(made(library, names, [1.1], 1.5), how))
@@ -797,7 +797,7 @@ def test_what_no_machine_can_be_found_from_is_refused(
 def test_a_record_of_another_machine_is_refused_in_the_first_line(
     fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A machine that does a tenth of what it is told: residuals of 0.1 rad are no error bar's business."""
+    """The machine executes a tenth of its commands: residuals of 0.1 rad are not noise."""
     names = ["payload.mass"]
     columns = made(library, names, [1.1], 1.5)
     for name in ("measured.theta[1]", "measured.theta[2]"):
@@ -808,10 +808,10 @@ def test_a_record_of_another_machine_is_refused_in_the_first_line(
     assert not (tmp_path / "out" / "calibrated.json").exists()
 
 
-def test_an_effect_that_is_not_unknownsis_warned_of_in_the_first_line(
+def test_an_effect_outside_the_unknowns_is_warned_of_in_the_first_line(
     fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Encoders that are late by 20 ms, and a fit that does not know of it."""
+    """Encoders are late by 20 ms, and the delay is not among the unknowns."""
     columns = made(library, ["payload.mass", "encoder.delay"], [1.1, 1.0], 1.5)
     code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, ["payload.mass"])
     assert (
@@ -822,7 +822,7 @@ def test_an_effect_that_is_not_unknownsis_warned_of_in_the_first_line(
     assert code in (0, 1)
 
 
-def test_a_fit_that_comes_to_no_end_is_given_up(
+def test_a_fit_that_does_not_converge_ends(
     fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names = ["payload.mass", "link[2,3].mass"]
@@ -832,7 +832,7 @@ def test_a_fit_that_comes_to_no_end_is_given_up(
     assert main(["calibrate", str(file), *common, *sought(names), "--patience", "0.05"]) == 2
     told = capsys.readouterr()
     assert "the fit did not converge within 0.05 s of CPU" in told.err
-    # A motion is planned for the scene's machine, whatever the record is.
+    # The motion is planned for the scene's machine, whatever the record is.
     assert "a motion that would tell payload.mass to ±" in told.out and (tmp_path / "out" / "proposal.json").is_file()
     assert "--fmu" not in told.out
 
@@ -863,8 +863,8 @@ def test_names_are_checked(library: Library, names: list[str], sentence: str) ->
         parameters.parameters(names, library, {})
 
 
-def test_the_picture_of_unknowns_has_what_is_identified(library: Library) -> None:
-    """Names stood twice, struck through by the grid; the first and last row lay on the frame; correlations were of unknowns without a value too."""
+def test_the_picture_of_unknowns_shows_identified_ones(library: Library) -> None:
+    """Each name appears once, off the grid; no row lies on the frame; correlations only between unknowns with a value."""
     sought = parameters.parameters(["payload.mass", "link.mass", "viscous.b"], library, BASE)
     some = np.ones(3)
     judged = SimpleNamespace(sigma=some, bound=some, correlation=np.eye(3), identified=[True, False, True])
@@ -889,7 +889,7 @@ def test_usual_unknowns_are_what_the_scene_has() -> None:
 
 
 def test_machines_at_random_are_others_and_keep_away_from_singularities(library: Library) -> None:
-    """Each its own, the same for the same key."""
+    """Machines differ by key; equal keys give equal machines."""
     benches = [trials.any_bench(np.random.Generator(np.random.Philox(key=key)), library) for key in (1, 2, 1)]
     assert benches[0] == benches[2] != benches[1] and all(trials.away(bench) for bench in benches)
 
@@ -900,8 +900,8 @@ def test_a_machine_at_random_is_calibrated(library: Library) -> None:
     assert all(row["identified"]) and np.abs(np.divide(row["off"], row["sigma"])).max() < 4
 
 
-def test_trials_go_on_where_they_were(tmp_path: Path) -> None:
-    """Those of this unit are not made again; a file that is none of theirs is refused."""
+def test_trials_resume(tmp_path: Path) -> None:
+    """Trials of this unit are not repeated; a file of another unit is refused."""
     file = tmp_path / "trials.jsonl"
     assert trials.done(file, "a") == {}
     file.write_text(

@@ -1,4 +1,4 @@
-"""The dashboard's server without a browser: who is let in, what a slow page gets, and colours that everybody can tell apart."""
+"""The dashboard's server without a browser: access, messages for a slow page, and colours that everybody can distinguish."""
 
 import asyncio
 import hashlib
@@ -32,7 +32,7 @@ from twin_support import follower
 
 
 def packet(kind: str, seq: int, qos: int = 0, **content: Any) -> bytes:
-    """MQTT's packet with a message."""
+    """An MQTT packet with a message."""
     name = topic("bench", kind).encode()
     message = encode(Message(kind, "bench", 5_000_000 * seq, seq, content.pop("fields", {}), content))
     body = len(name).to_bytes(2) + name + (b"\0\1" if qos else b"") + message
@@ -40,7 +40,7 @@ def packet(kind: str, seq: int, qos: int = 0, **content: Any) -> bytes:
 
 
 def seqs(sent: "bytes | tuple[list[list[float]], bytes]") -> list[int]:
-    """Numbers of the messages in what a page gets."""
+    """Sequence numbers of the messages that a page receives."""
     sent = sent[1] if isinstance(sent, tuple) else sent
     return [int(found) for found in re.findall(rb'"seq":(\d+)', sent)]
 
@@ -51,12 +51,12 @@ def test_topics_of_packets() -> None:
 
 
 def test_a_page_that_draws_slowly_gets_the_newest() -> None:
-    """A slow page was 2.3 s behind: everything waited for it. Messages that come once, such as alarms, reach it nevertheless, and at once."""
+    """A slow page skips samples, so that it is never behind (it was, by 2.3 s). Messages that come once, such as alarms, still arrive at once."""
 
     async def told() -> None:
         pace = Pace(300)
         assert pace.put(packet("est", 0))
-        assert seqs(await pace.next()) == [0], "a page that does not say what it has drawn gets everything"
+        assert seqs(await pace.next()) == [0], "a page that does not report what it has drawn receives everything"
         pace.tell(1)
         pace.put(packet("est", 1))
         assert seqs(await pace.next()) == [1]
@@ -69,16 +69,16 @@ def test_a_page_that_draws_slowly_gets_the_newest() -> None:
             await asyncio.wait_for(pace.next(), 0.05)
         pace.tell(1)
         with pytest.raises(asyncio.TimeoutError):
-            # Not before it has handled all of what it got.
+            # The page has not yet handled all messages that it received.
             await asyncio.wait_for(pace.next(), 0.05)
         pace.tell(2)
-        assert seqs(await pace.next()) == [seq for seq in range(500 - KEPT, 500) for _ in (0, 1)], "and in their order"
+        assert seqs(await pace.next()) == [seq for seq in range(500 - KEPT, 500) for _ in (0, 1)], "in their order"
 
     asyncio.run(told())
 
 
 def test_an_estimate_comes_behind_its_sample_and_the_path_has_all_points() -> None:
-    """Estimates that are 20 samples late come with their own; of those left out, and not of what is no estimate, there are the tip's places."""
+    """An estimate that is 20 samples late is sent after its own sample. The path has the tip of each skipped estimate, and of nothing else."""
     angles = {"measured.theta[1]": 2.0, "measured.theta[2]": 1.0}
     names = ("theta[1]", "theta[2]", "passive.theta[1]", "passive.theta[2]", "tip.x", "tip.y", "estimated.status")
     late, last = 20, 299
@@ -94,7 +94,7 @@ def test_an_estimate_comes_behind_its_sample_and_the_path_has_all_points() -> No
                 )
         pace.put(packet("est", last + 1))
         trail, sent = await pace.next()
-        # The newest of the eight is no message, and the page tells so.
+        # The newest of the eight is malformed, and the page reports it.
         kept = range(last + 2 - KEPT, last + 1)
         assert seqs(sent) == [*(seq for seq in kept for _ in "12"), last + 1]
         assert re.findall(rb"fivebar/bench/(\w+)", sent) == [*(b"meas", b"est") * len(kept), b"est"]
@@ -118,7 +118,7 @@ def config(tmp_path: Path, fmu: Path) -> Config:
 
 
 def test_a_slow_page_over_its_sockets(config: Config) -> None:
-    """Through server and sockets: 3 s of samples while a page draws nothing, then it draws, and what it gets is the newest."""
+    """Through server and sockets: a page draws nothing during 3 s of samples; then it draws and receives the newest."""
 
     async def through() -> None:
         pages: list[asyncio.StreamWriter] = []
@@ -146,7 +146,7 @@ def test_a_slow_page_over_its_sockets(config: Config) -> None:
     asyncio.run(asyncio.wait_for(through(), PATIENCE))
 
 
-# --- what is drawn --------------------------------------------------------------------------------------------------------------------
+# --- drawings -------------------------------------------------------------------------------------------------------------------------
 
 SLOW = """
 const busy = () => { const end = performance.now() + 300; while (performance.now() < end); requestAnimationFrame(busy); };
@@ -194,8 +194,8 @@ async def driven(config: Config, pairs: list[tuple[Message, Message]], stop: asy
 
 @pytest.mark.full
 def test_a_slow_page_draws_the_path_and_the_sample_of_its_estimate(config: Config, tmp_path: Path) -> None:
-    """Each picture has all points of the last 1.5 s of the path, where 8 of 60 were there and joined by a chord; and the machine is drawn by the
-    sample that the estimate is of, where the newest one was 8 samples or 26 mm ahead."""
+    """Each picture has all points of the last 1.5 s of the path, although the page received 8 of 60 estimates. The machine is drawn from
+    the sample of the estimate; the newest sample would be 8 samples or 26 mm ahead."""
     library = Library(Path(config.fmu))
     source, twin = machine(config, library), follower(config, library)
     pairs = [(sample, twin.estimate()) for sample in (source.next() for _ in range(3000)) if twin.meas(sample)]
@@ -207,7 +207,7 @@ def test_a_slow_page_draws_the_path_and_the_sample_of_its_estimate(config: Confi
     thread.start()
     try:
         with open_browser(f"http://127.0.0.1:{config.dashboard_port}/", tmp_path) as browser:
-            # By then the path has all its points.
+            # Now the path has all its points.
             wait_until(lambda: float(browser.find_element("id", "clock").text) > 2)
             colours = browser.execute_script(
                 f"{SLOW} const style = getComputedStyle(document.documentElement);"
@@ -221,7 +221,7 @@ def test_a_slow_page_draws_the_path_and_the_sample_of_its_estimate(config: Confi
     tip, ink, left = colours
     apart, moved = [], []
     for picture in pictures:
-        # Pieces of the path share their ends.
+        # Adjacent pieces of the path share a point.
         points = sum(
             len(path) - 1 for colour, _, dashed, path in picture if colour == tip and not dashed and len(path) > 1
         )
@@ -235,7 +235,7 @@ def test_a_slow_page_draws_the_path_and_the_sample_of_its_estimate(config: Confi
         apart.append(np.hypot(*np.subtract(elbow, sample)))
         moved.append(elbow)
     assert np.ptp(moved, axis=0).max() > 30, "pixels"
-    # The estimate is for 1 ms after its sample: 1 mm at the fastest, and some pixels are a millimetre.
+    # The estimate is 1 ms later than its sample: at most 1 mm, which is a few pixels.
     assert max(apart) < 3, apart
 
 
@@ -248,10 +248,10 @@ async def asked(port: int, *lines: str) -> bytes:
     return content
 
 
-def test_what_is_refused_is_one_line_in_the_log(
+def test_a_refused_connection_is_one_line_in_the_log(
     config: Config, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A page of another site, and two Host headers: both were tracebacks."""
+    """A page of another site, and two Host headers, leave one line and no traceback."""
     caplog.set_level(logging.INFO, logger="fivebar")
     dashboard.quiet()
     host = f"127.0.0.1:{config.dashboard_port}"
@@ -279,8 +279,8 @@ def test_what_is_refused_is_one_line_in_the_log(
     assert "Traceback" not in shown.out + shown.err
 
 
-def test_the_page_has_all_that_it_loads() -> None:
-    """Every module of the validator, unchanged from npm (@cfworker/json-schema 4.1.1), and nothing from elsewhere."""
+def test_the_server_has_every_file_that_the_page_loads() -> None:
+    """The page loads no other server. The modules of the validator are unchanged from npm (@cfworker/json-schema 4.1.1)."""
     page = Path(dashboard.__file__).with_name("page")
     for path, (file, _) in FILES.items():
         text = file.read_text(encoding="utf-8")
@@ -308,7 +308,7 @@ SEEN = {
 
 
 def lab(colour: str, cones: np.ndarray) -> np.ndarray:
-    """CIE L*a*b* of a colour as it is seen."""
+    """CIE L*a*b* of a colour as this eye sees it."""
     rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
     linear = cones @ np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     to_xyz = np.array(
@@ -320,8 +320,8 @@ def lab(colour: str, cones: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("cones", SEEN)
-def test_colours_of_the_page_are_told_apart(cones: str) -> None:
-    """Right leg, direct singularity and "live" were one olive to those without green cones: 15 apart, where 2 is just seen beside each other."""
+def test_colours_of_the_page_are_distinguishable(cones: str) -> None:
+    """Right leg, direct singularity and "live" must not look alike without green cones. A distance of 2 is just visible side by side; at least 15 is required."""
     text = (Path(dashboard.__file__).with_name("page") / "dashboard.html").read_text(encoding="utf-8")
     light, dark = (
         dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", block)) for block in re.findall(r":root \{(.*?)\}", text, re.DOTALL)

@@ -1,4 +1,4 @@
-"""`fivebar ensemble` and `what-if`: the same members wherever they run, also where workers die; commands compared from a state."""
+"""`fivebar ensemble` and `what-if`: members are equal wherever they run, even if workers die; commands are compared from a state."""
 
 import base64
 import os
@@ -40,7 +40,7 @@ PLAN = Plan(values=FALL, seconds=0.5, points=10, seed=3, spreads={"theta[1]": 2e
 
 
 def test_bytes_of_a_unit_have_their_own_time(fmu: Path, tmp_path: Path) -> None:
-    """A member that keeps the stored state steps on from its time."""
+    """A member that restores the stored state continues from the time of that state."""
     library = Library(fmu)
     with Unit.of(library) as unit:
         unit.reset(**{"payload.enabled": True, "payload.mass": 0.1})
@@ -55,7 +55,7 @@ def test_bytes_of_a_unit_have_their_own_time(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_members_do_not_depend_on_others(fmu: Path) -> None:
-    """A member is the same after others and alone, and its singularity is where the unit counts it."""
+    """A member gives the same result alone and after others, and its singularity is at the time at which the unit counts it."""
     library = Library(fmu)
     first, second = Runner(library, PLAN), Runner(library, PLAN)
     first.run(4)
@@ -71,7 +71,7 @@ def test_members_do_not_depend_on_others(fmu: Path) -> None:
             f"link[{leg}].inertia": 6.23e-5 * a["drawn"]["link[1,4].mass"],
         }
     unit.reset(**values)
-    # Within half a thousandth of a step of 50 ms.
+    # Within 50 us, a thousandth of a step of 50 ms.
     for time, passed in ((a["singular.time"] - 5e-5, 0), (a["singular.time"] + 5e-5, 1)):
         unit.step_to(time)
         assert unit["singular.passes.inverse[2]"] == passed and a["singular.kind"] == 3
@@ -82,7 +82,7 @@ def test_members_do_not_depend_on_others(fmu: Path) -> None:
 
 
 def test_draws_below_the_least_value_are_counted(fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A standard deviation of 60 % brings one mass of twenty below 0; these were raised to 0.02 in silence."""
+    """A standard deviation of 60 % makes one mass of twenty negative. Such draws are raised to 0.02 and counted."""
     options = command.Options(200, "fall_90_120", None, ("link.mass=60%",), 0.05, 2, 0, 0, None, False, fmu, tmp_path)
     assert command.run(options) == 0
     drawn = pq.read_table(tmp_path / "members.parquet")["drawn.link.mass"].to_numpy()
@@ -94,14 +94,14 @@ def test_draws_below_the_least_value_are_counted(fmu: Path, tmp_path: Path, caps
 
 @pytest.fixture
 def dask_cluster() -> Iterator[Callable[[], Cluster]]:
-    """Scheduler and two workers of Dask on this machine."""
+    """A Dask scheduler and two workers on this machine."""
     with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as made:
         yield lambda: Cluster(made.scheduler_address)
 
 
 @pytest.mark.parametrize("kind", ["processes", "cluster"])
 def test_a_killed_worker_loses_nothing(kind: str, fmu: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    """Two workers, one of which is killed on the way, give the bytes of one process."""
+    """Two workers, one killed during the run, give the bytes of one process."""
     content, members = fmu.read_bytes(), 1000
     results.write(tmp_path / "alone.parquet", PLAN, rows.alone(content, PLAN, members), lambda _: None)
     workers = Processes(2) if kind == "processes" else request.getfixturevalue("dask_cluster")()
@@ -123,7 +123,7 @@ def test_a_killed_worker_loses_nothing(kind: str, fmu: Path, tmp_path: Path, req
     assert len(results.draw(tmp_path, story)) == 2
 
 
-def test_processes_that_die_again_and_again_are_a_sentence() -> None:
+def test_processes_that_die_repeatedly_end_with_one_sentence() -> None:
     broken: Future[Done] = Future()
     broken.set_exception(BrokenProcessPool("killed"))
     chunk = Chunk(SimpleNamespace(submit=lambda *_: broken), "", 200, 100)
@@ -132,7 +132,7 @@ def test_processes_that_die_again_and_again_are_a_sentence() -> None:
 
 
 def ensemble(fmu: Path, folder: Path, *more: str) -> list[str]:
-    """The command where Dask is not installed."""
+    """Runs the command without Dask."""
     hidden = (
         "import sys; sys.modules['distributed'] = None; from fivebar.commands import main; sys.exit(main(sys.argv[1:]))"
     )
@@ -140,7 +140,7 @@ def ensemble(fmu: Path, folder: Path, *more: str) -> list[str]:
 
 
 def test_one_machine_needs_no_cluster(fmu: Path, tmp_path: Path) -> None:
-    """Members on processes of this machine without Dask, and nothing is left in the temporary folder."""
+    """Members run in processes of this machine without Dask and leave nothing in the temporary folder."""
     (temporary := tmp_path / "temporary").mkdir()
     done = subprocess.run(
         ensemble(fmu, tmp_path, "--members", "300", "--seconds", "0.1", "--measure"),
@@ -165,7 +165,7 @@ def test_no_process_outlives_a_command_that_was_killed(fmu: Path, tmp_path: Path
 
 
 def test_a_worker_that_dies_after_the_last_chunk_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The scheduler reaches a worker no more that it asks to remove the unit: the tables are complete."""
+    """The scheduler asks a dead worker to remove the unit: the tables are complete nevertheless."""
 
     def broken(name: str) -> None:
         raise CommClosedError(f"removal of {name}: connection reset by peer")
@@ -179,7 +179,7 @@ def test_a_worker_that_dies_after_the_last_chunk_loses_nothing(monkeypatch: pyte
 
 @pytest.mark.full
 def test_a_scheduler_of_ones_own(fmu: Path, tmp_path: Path) -> None:
-    """Scheduler and worker as processes of their own, started by Dask's commands, give the bytes of one process."""
+    """A separate scheduler and worker, started by Dask's commands, give the bytes of one process."""
     address = f"tcp://127.0.0.1:{free_port()}"
     dask = [sys.executable, "-m", "dask"]
     scheduler = subprocess.Popen(
@@ -216,7 +216,7 @@ def test_a_scheduler_of_ones_own(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_what_if(fmu: Path) -> None:
-    """From a state at rest each command leads where it says, and the goal decides."""
+    """From a state at rest each command reaches its target, and the goal ranks the commands."""
     library = Library(fmu)
     unit = Unit.of(library)
     told = {"servo.theta[1]": 2.2, "servo.theta[2]": 0.94, "servo.omega[1]": 0.0, "servo.omega[2]": 0.0}
@@ -244,9 +244,9 @@ def test_what_if(fmu: Path) -> None:
     assert [one["rank"] for one in sent.extra["candidates"]] == [1, 2, 3, 4, 5]
 
 
-def test_what_if_knows_what_the_twin_does_not_know(fmu: Path, tmp_path: Path) -> None:
-    """Staying where the plan rests ends as the twin's forecast does, half-width included: "95 % within 0.00 mm" was told, where the forecast
-    says 1.6 mm, for members differ by their start alone, which stiff servos forget."""
+def test_what_if_includes_the_uncertainty_of_the_twin(fmu: Path, tmp_path: Path) -> None:
+    """Staying where the plan rests ends like the twin's forecast, with its half-width of 1.6 mm. Members differ only by their start, which stiff
+    servos forget, so they alone would give 0.00 mm."""
     library = Library(fmu)
     config = configured(tmp_path, fmu, library, "pick_and_place")
     source, twin = machine(config, library), follower(config, library)
@@ -260,7 +260,7 @@ def test_what_if_knows_what_the_twin_does_not_know(fmu: Path, tmp_path: Path) ->
     twin.close()
     library.close()
     assert expected is not None and expected.extra["half_width"] > 5e-4
-    # Of single precision, in which members are kept, and of a tenth of a micrometre.
+    # Tolerances: members are stored in single precision; 0.1 micrometres.
     assert stay["end"]["within95"] == pytest.approx(expected.extra["half_width"], rel=1e-6)
     assert stay["end"]["tip.x"] == pytest.approx(expected.fields["tip.x"], rel=1e-6)
     (low, middle, high) = stay["bands"]["tip.x"][-1]
@@ -277,7 +277,7 @@ def test_a_scheduler_elsewhere_needs_tls() -> None:
         Cluster("tcp://192.0.2.1:8786")
 
 
-def test_a_state_that_is_none(fmu: Path, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_state_is_refused(fmu: Path, tmp_path: Path) -> None:
     (tmp_path / "state.json").write_text("{}", encoding="utf-8")
     with pytest.raises(TwinError, match="not a stored state"):
         command.stored(tmp_path / "state.json")

@@ -1,4 +1,4 @@
-"""The twin without a broker: it follows, puts late samples where they belong, goes on from stored states, forecasts, is replayed."""
+"""The twin without a broker: it follows, sorts in late samples, continues from stored states, forecasts, and is replayed."""
 
 import json
 import math
@@ -29,7 +29,7 @@ from twin_support import follower, recorded
 
 @pytest.fixture
 def config(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> Config:
-    """A run of `fivebar twin --exact`: lengths and encoders leave no error, so that what else is wrong shows."""
+    """A run of `fivebar twin --exact`: lengths and encoders are exact, so other errors become visible."""
     return configured(tmp_path, fmu, library, scenes / "pick_and_place.json", exact=True)
 
 
@@ -43,12 +43,12 @@ def samples(config: Config, library: Library) -> list[Message]:
 
 
 def estimates(twin: Follower, messages: list[Message]) -> list[Message]:
-    """Answers of the twin to the samples that are not late."""
+    """Estimates after the samples that are not late."""
     return [twin.estimate() for message in messages if twin.meas(message)]
 
 
 def off(estimate: Message, samples: list[Message]) -> float:
-    """Distance of the estimated tip from the machine's, m; between samples that is on a cubic through four, within 0.1 µm for this scene."""
+    """Distance, m, of the estimated tip from the machine's tip. Between samples the latter is a cubic through four, exact to 0.1 µm here."""
     at = 1e-9 * (estimate.time - BEGIN) / 0.005
     first = min(max(math.floor(at) - 1, 0), len(samples) - 4)
     nodes = range(first, first + 4)
@@ -58,7 +58,7 @@ def off(estimate: Message, samples: list[Message]) -> float:
 
 
 def off_at_sample(estimate: Message, sample: Message) -> float:
-    """Distance of the tip, taken back to the time of its sample by velocity and acceleration, from the machine's, m."""
+    """Distance, m, of the estimated tip from the machine's tip; the estimate is moved to the time of its sample by velocity and acceleration."""
     after = 1e-9 * (estimate.time - sample.time)
     tip, velocity, acceleration = ([estimate.fields[f"tip.{of}{axis}"] for axis in "xy"] for of in ("", "v", "a"))
     back = [p - after * (v - after / 2 * a) for p, v, a in zip(tip, velocity, acceleration, strict=True)]
@@ -66,7 +66,7 @@ def off_at_sample(estimate: Message, sample: Message) -> float:
 
 
 def test_the_motion_is_far_more_exact_than_encoders(config: Config, library: Library, samples: list[Message]) -> None:
-    """The default method and tolerance: less than a ten-thousandth of an encoder's step at the tip; i3alp at this tolerance leaves 7e-8 m."""
+    """By the default method and tolerance, the error is below a ten-thousandth of an encoder's step at the tip; by i3alp it would be 7e-8 m."""
     tips = []
     for values in ({}, {"solver.errorTolerance": 1e-10}):
         twin = follower(replace(config, twin=config.twin | values), library)
@@ -86,13 +86,13 @@ def test_the_twin_follows_within_its_bands(config: Config, library: Library, sam
     assert max(off(each, samples) for each in said[:-1]) < 1e-4
     share = sum(off(each, samples) < half_width(covariance(each.fields)) for each in said[:-1]) / 399
     assert share > 0.85
-    # The dashboard takes an estimate back to its sample: 0.43 µm in the mean by rates of 16 bits, 0.63 µm without accelerations.
+    # The dashboard moves an estimate back to its sample: mean error 0.43 µm with rates of 16 bits, 0.63 µm without accelerations.
     assert (
         sum(abs(off_at_sample(e, s) - off(e, samples)) for e, s in zip(said[:-1], samples, strict=False)) / 399 < 5e-7
     )
 
 
-def test_late_and_doubled_samples_change_nothing_in_the_end(
+def test_late_and_doubled_samples_do_not_change_the_end(
     config: Config, library: Library, samples: list[Message]
 ) -> None:
     chance = random.Random(3)
@@ -106,7 +106,7 @@ def test_late_and_doubled_samples_change_nothing_in_the_end(
     other.close()
 
 
-def test_lost_samples_widen_the_bands_and_no_more(config: Config, library: Library, samples: list[Message]) -> None:
+def test_lost_samples_only_widen_the_bands(config: Config, library: Library, samples: list[Message]) -> None:
     chance = random.Random(4)
     kept = [m for m in samples if chance.random() > 0.05 or m.seq == 0]
     twin = follower(config, library)
@@ -143,7 +143,7 @@ def test_a_jump_of_the_machines_clock_changes_times_only(
     other.close()
 
 
-def test_a_gap_is_coasted_through_and_a_long_one_starts_anew(config: Config, library: Library) -> None:
+def test_the_twin_coasts_through_a_gap_and_restarts_after_a_long_one(config: Config, library: Library) -> None:
     source = machine(config, library)
     samples = [source.next() for _ in range(2000)]
     source.close()
@@ -159,7 +159,7 @@ def test_a_gap_is_coasted_through_and_a_long_one_starts_anew(config: Config, lib
 
 
 def standing(gaps: list[float], **orders: float) -> list[Message]:
-    """A machine that stands where pick_and_place begins, sampled after those gaps, s."""
+    """A machine at rest at the start of pick_and_place, sampled after the given gaps, s."""
     fields = {"measured.theta[1]": 2.7567, "measured.theta[2]": 1.345} | {
         name.replace("_", ".") + f"[{i}]": to for name, to in orders.items() for i in (1, 2)
     }
@@ -171,11 +171,11 @@ STALLED = [0.005, 0.025, 0.109, *[0.005] * 200]
 """A machine whose process comes late to its second and third sample."""
 
 
-def test_servos_that_are_told_nothing_hold_where_the_machine_starts(config: Config, library: Library) -> None:
-    """They hung on the start value of `servo.theta`, 0: 50 N·m that were not there, which late samples could not make up for."""
+def test_servos_without_commands_hold_the_initial_angles(config: Config, library: Library) -> None:
+    """Servos must not pull to the start value of `servo.theta`, 0: that would be 50 N·m, for which late samples cannot correct."""
     twin = follower(config, library)
     said = estimates(twin, standing(STALLED))
-    # A machine that has not moved yet does not tell its assembly: from the second sample on both are followed.
+    # Before the machine moves, its assembly is unknown: from the second sample on the twin follows both.
     assert [each.fields["estimated.status"] for each in said[1:]] == [6] * (len(said) - 1) and not twin.failure
     # A step of the 16-bit encoder is 9.6e-5 rad.
     assert all(abs(each.fields["theta[1]"] - 2.7567) < 1e-4 for each in said)
@@ -183,11 +183,11 @@ def test_servos_that_are_told_nothing_hold_where_the_machine_starts(config: Conf
 
 
 def test_a_machine_that_was_lost_is_found_again(config: Config, library: Library) -> None:
-    """Orders that the machine does not follow, and two late samples: nothing fits any more until the unit begins anew."""
+    """The machine ignores commands, and two samples are late: no sample fits until the unit restarts."""
     twin = follower(config, library)
     said = estimates(twin, standing(STALLED, servo_theta=0.0))
     lost = [each for each in said if each.fields["estimated.status"] in (7, 8)]
-    assert len(lost) > 10, "or this test shows nothing"
+    assert len(lost) > 10, "otherwise this test shows nothing"
     assert twin.failure == "", "the unit itself has found it"
     assert lost[-1].time - said[0].time < 0.6e9
     assert all(
@@ -196,7 +196,7 @@ def test_a_machine_that_was_lost_is_found_again(config: Config, library: Library
     twin.close()
 
 
-def test_a_stored_state_goes_on_to_the_same_bytes_elsewhere(
+def test_a_stored_state_continues_to_the_same_bytes_elsewhere(
     config: Config, library: Library, samples: list[Message]
 ) -> None:
     one, other = follower(config, library), follower(config, library)
@@ -235,14 +235,14 @@ def test_parameters_are_taken_within_their_bounds(config: Config, library: Libra
     assert twin.unit["servo.kp[1]"] == 21.0
     twin.restart(Message("cmd", "bench", 2, 2, {}))
     estimates(twin, samples[10:20])
-    assert twin.unit["servo.kp[1]"] == 21.0, "also after a start anew"
+    assert twin.unit["servo.kp[1]"] == 21.0, "also after a restart"
     twin.close()
 
 
 # --- forecasts ------------------------------------------------------------------------------------------------------------------------
 
 
-def test_a_forecast_disturbs_nothing_and_holds_what_comes(
+def test_a_forecast_disturbs_nothing_and_contains_the_motion(
     config: Config, library: Library, samples: list[Message]
 ) -> None:
     twin, plain = follower(config, library), follower(config, library)
@@ -261,7 +261,7 @@ def test_a_forecast_disturbs_nothing_and_holds_what_comes(
     for status, forecast in made:
         assert forecast.extra["path"]["ahead"] == pytest.approx([0.05 * (i + 1) for i in range(10)])
         later = replace(forecast, time=forecast.time + 500_000_000)
-        # While the assembly of the start is doubted, a forecast covers both, whose tips are 0.2 m apart.
+        # While the assembly is uncertain, a forecast covers both assemblies; their tips are 0.2 m apart.
         assert off(later, samples) < forecast.extra["half_width"] < (0.02 if status == 2 else 0.4)
         widths = forecast.extra["path"][RADIUS]
         assert widths[0] < widths[-1]
@@ -272,7 +272,7 @@ def test_a_forecast_disturbs_nothing_and_holds_what_comes(
 def test_forecasts_name_singularities_and_stops_before_they_come(
     tmp_path: Path, fmu: Path, library: Library, scenes: Path
 ) -> None:
-    """The scenes meet what the forecasts say, at the time that they say, as seen by the machine itself."""
+    """The machine meets the events that the forecasts announce, at the announced times."""
     config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json", exact=True)
     source, twin = machine(config, library), follower(config, library)
     ahead = Forecaster(library, twin.setup)
@@ -316,7 +316,7 @@ def test_a_record_is_replayed_to_the_bit(config: Config, library: Library, fmu: 
     result = replay(run.folder, fmu)
     assert (result.compared, result.differing, result.left_out) == (run.twin.counts["estimated"], [], 0)
     assert result.states >= 4
-    # From the middle it goes on at the next stored state.
+    # A replay from the middle begins at the next stored state.
     part = replay(run.folder, fmu, since=2.0)
     assert not part.differing and 300 < part.compared < result.compared and part.left_out > 0
     with pytest.raises(TwinError, match=r"nothing was recorded from 100 s to inf s; the record has [45]\.?\d* s"):
@@ -327,12 +327,12 @@ def test_a_record_is_replayed_to_the_bit(config: Config, library: Library, fmu: 
     assert summary["tip_error_mm"]["rms"] < 0.1
 
 
-def test_what_differs_or_is_missing_is_told(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
+def test_a_replay_reports_differences_and_missing_rows(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
     run = recorded(config, library, 500)
     table = pq.read_table(run.folder)
 
     def changed(name: str, payload: bytes | None, kind: str, seq: int) -> Result:
-        """The replay of a record in which one row is another one, or gone."""
+        """The replay of a record with one row changed or removed."""
         rows = [record.Row(**row) for row in table.to_pylist()]
         (place,) = (i for i, row in enumerate(rows) if row.topic.endswith(kind) and row.seq == seq)
         rows[place : place + 1] = [rows[place]._replace(payload=payload)] if payload else []
@@ -352,7 +352,7 @@ def test_what_differs_or_is_missing_is_told(config: Config, library: Library, fm
 
 
 def test_a_bad_row_of_a_record_costs_that_row(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
-    """A forecast without a path ended the summary of a whole run in a KeyError; a row without a payload ended every reader."""
+    """A forecast without a path, or a row without a payload, is left out; summary and readers take the other rows."""
     run = recorded(config, library, 300)
     bad = json.dumps(
         {
@@ -388,7 +388,7 @@ def test_a_twin_that_was_killed_is_replayed_too(
     first = recorded(config, library, 300)
     state = Path(config.folder) / "state" / "twin.json"
     assert state.is_file()
-    # A second life, which goes on from the stored state 100 samples later.
+    # A second process continues from the stored state, 100 samples later.
     twin, recorder = Twin(config, library), Recorder(config)
     wire = Wire(config, twin, recorder)
     source: StandIn = machine(config, library)
@@ -401,7 +401,7 @@ def test_a_twin_that_was_killed_is_replayed_too(
     assert not result.differing and result.compared == 700
     story = figures.read(first.folder)
     error = figures.judge(story).error
-    # Back at once within its bands, as if nothing had been.
+    # At once within its bands again.
     assert (error[310:690] < 1e-4).all()
 
 
@@ -415,7 +415,7 @@ def test_a_restart_by_command_is_replayed(config: Config, library: Library, fmu:
             wire.send("cmd", encode(Message("cmd", "bench", BEGIN + 1, 1, {}, {"command": "restart"})))
         if i == 200:
             wire.send("param", encode(Message("param", "bench", BEGIN + 2, 2, {"servo.kp[1]": 21.0})))
-            # An order that is repeated is old.
+            # A repeated command is old.
             wire.send("param", encode(Message("param", "bench", BEGIN + 2, 2, {"servo.kp[1]": 21.0})))
             wire.send("param", encode(Message("param", "bench", BEGIN + 3, 3, {"servo.kp[1]": -1.0})))
         wire.send("meas", encode(source.next()))
@@ -427,7 +427,7 @@ def test_a_restart_by_command_is_replayed(config: Config, library: Library, fmu:
 
 
 def test_what_is_learned_is_published_and_summed_up(config: Config, library: Library) -> None:
-    """The stand-in's payload is a fifth heavier than the twin's: the twin learns so, and its start values make such a unit."""
+    """The stand-in's payload is a fifth heavier than the twin's: the twin learns this, and its start values make such a unit."""
     learning = {"estimator.learn.enabled": True, "estimator.learn.payload": 0.02, "viscous.enabled": True}
     run = recorded(replace(config, twin=config.twin | learning), library, 600)
     said = list(record.messages(run.folder, "learned", refused=pytest.fail))
@@ -447,7 +447,7 @@ def test_what_is_learned_is_published_and_summed_up(config: Config, library: Lib
     assert figures.read(nothing.folder).learned is None
 
 
-# --- the turn in which a machine begins -----------------------------------------------------------------------------------------------
+# --- whole turns at the start ---------------------------------------------------------------------------------------------------------
 
 TURN = 2 * math.pi
 
@@ -475,7 +475,7 @@ ABSOLUTE = {
 def test_a_run_begins_in_the_turn_of_its_scene(
     by: str, lowest: float, tmp_path: Path, fmu: Path, library: Library, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An encoder in [0, 2π) where the scene has −1 and −2.2 rad: springs held the twin with torques of 0.9 N·m that no machine has."""
+    """Encoders read [0, 2π), the scene starts at −1 and −2.2 rad. In a wrong turn, springs would give the twin torques of 0.9 N·m."""
     scene = {"description": "below its base", "init.theta[1]": -1.1, "init.theta[2]": -2.1} | ABSOLUTE[by]
     file = tmp_path / "below.json"
     file.write_text(json.dumps(scene))
@@ -497,7 +497,7 @@ def test_a_run_begins_in_the_turn_of_its_scene(
     assert story.followed == 400 and run.watch.alarms == 0
     content = figures.summarise(config, story, figures.judge(story), {}, {})
     assert content["tip_error_mm"]["max"] < 0.5, "with encoders of 16 bits, and masses that are 5 % off"
-    # Masses that are 5 % off, and friction that the twin does not know, are torques of up to 0.06 N·m.
+    # Masses off by 5 % and unmodelled friction are torques of up to 0.06 N·m.
     assert np.abs(story.estimated["estimated.tau[1]"][100:]).max() < 0.06
     estimates = [message for message in record.messages(run.folder, "est", refused=pytest.fail)]
     assert all(-math.pi < message.fields[f"theta[{i}]"] < 0 for message in estimates for i in (1, 2))
@@ -517,8 +517,8 @@ def test_a_run_begins_in_the_turn_of_its_scene(
     assert result.compared == 400 and not result.differing
 
 
-def test_a_start_between_two_samples_of_which_one_wraps(config: Config, library: Library) -> None:
-    """The rate of a start is that between two samples: a turn within a sample was taken for 1257 rad/s."""
+def test_a_start_between_two_samples_across_a_wrap(config: Config, library: Library) -> None:
+    """The initial rate is the difference of two samples: a wrap between them must not become 1257 rad/s."""
     rates = []
     for before in (-0.01, TURN - 0.01):
         twin = follower(config, library)
@@ -529,5 +529,5 @@ def test_a_start_between_two_samples_of_which_one_wraps(config: Config, library:
         twin.meas(second)
         rates.append(twin.estimate().fields["omega[1]"])
         twin.close()
-    # A turn that is added and taken away leaves round-off of 1e-15 rad in 5 ms.
+    # Adding and subtracting a turn leaves round-off: 1e-15 rad in 5 ms.
     assert rates[1] == pytest.approx(rates[0], abs=1e-9) and rates[0] > 0.5

@@ -1,4 +1,4 @@
-"""The twin's pipeline with what needs Debian packages: mosquitto with users, roles and TLS, processes that are killed, Chromium."""
+"""Tests of the twin's pipeline that need Debian packages: mosquitto with users, roles and TLS, killed processes, Chromium."""
 
 import csv
 import itertools
@@ -42,7 +42,7 @@ EXAMPLES = REPOSITORY / "python" / "mosquitto"
 
 
 class Run:
-    """A run under way."""
+    """A running pipeline."""
 
     def __init__(self, out: Path, fmu: Path, scenes: Path, *more: str, environment: dict[str, str] | None = None):
         self.out = out
@@ -59,27 +59,27 @@ class Run:
         return f"http://127.0.0.1:{self.config['dashboard_port']}/"
 
     def pids(self, name: str) -> list[int]:
-        """Of every life of a process so far, that has said that it is ready."""
+        """Process ids of all starts of a process that reported ready so far."""
         files = (self.folder / "status").glob(f"{name}-*.json")
         ready = [path for path in files if json.loads(path.read_text()).get("ready")]
         return [int(path.stem.rpartition("-")[2]) for path in sorted(ready, key=lambda path: path.stat().st_ctime)]
 
     def stored(self) -> int:
-        """When the older of both stored states was stored, ns; 0 before the first."""
+        """Time of the older of both stored states, ns; 0 before the first."""
         return min((path.stat().st_mtime_ns for path in (self.folder / "state").glob("*.json")), default=0)
 
     def stop(self) -> None:
-        """Asks it to end, as by Ctrl-C."""
+        """Asks the run to end, as by Ctrl-C."""
         self.process.send_signal(signal.SIGINT)
 
     def finish(self) -> dict[str, Any]:
-        """Its summary."""
+        """Waits for the end; returns the summary."""
         text = self.process.communicate(timeout=PATIENCE)[0]
         assert self.process.returncode == 0, text
         return json.loads((self.out / "summary.json").read_text())
 
     def replayed(self, fmu: Path) -> str:
-        """Output of its replay, which has to agree."""
+        """Replays the record, which must agree; returns the output."""
         replay = subprocess.run(
             [*COMMAND, "replay", str(self.folder / "record"), "--fmu", str(fmu)],
             capture_output=True,
@@ -92,7 +92,7 @@ class Run:
 
 @contextmanager
 def running(out: Path, fmu: Path, scenes: Path, *more: str, environment: dict[str, str] | None = None) -> Iterator[Run]:
-    """A run that ends with the test, also if the test fails: processes of a run come before all others, tests and browsers included."""
+    """A run that ends with the test, also if the test fails: its processes have priority over tests and browsers."""
     run = Run(out, fmu, scenes, *more, environment=environment)
     try:
         yield run
@@ -103,7 +103,7 @@ def running(out: Path, fmu: Path, scenes: Path, *more: str, environment: dict[st
 
 
 class Ear:
-    """Hears what is published, with the time at which it came."""
+    """Collects published messages with their arrival times."""
 
     def __init__(
         self,
@@ -142,7 +142,7 @@ class Ear:
         self.client.publish(topic(self.unit, message.kind), encode(message), qos=1).wait_for_publish(PATIENCE)
 
     def last(self, kind: str) -> float:
-        """When the last of a kind came; 0 if none has."""
+        """Arrival time of the last message of a kind; 0 if there is none."""
         return max((when for when, of, _ in self.heard if of == kind), default=0.0)
 
     def close(self) -> None:
@@ -156,12 +156,12 @@ class Ear:
 @pytest.mark.parametrize(
     "names", [("follow", "record"), pytest.param(ENDING, marks=pytest.mark.nightly)], ids=["two", "all"]
 )
-def test_whatever_is_killed_is_back(names: tuple[str, ...], tmp_path: Path, fmu: Path, scenes: Path) -> None:
+def test_killed_processes_are_restarted(names: tuple[str, ...], tmp_path: Path, fmu: Path, scenes: Path) -> None:
     with running(tmp_path / "out", fmu, scenes, "--seconds", "inf") as run:
         ear = Ear(run.config["broker"]["port"], "est", "forecast")
         wait_until(lambda: ear.last("forecast"))
         for name in names:
-            # At least one stored state further than the last kill.
+            # Wait for at least one stored state after the last kill.
             before = run.stored()
             wait_until(lambda before=before: run.stored() > before)
             (pid,) = run.pids(name)
@@ -178,13 +178,13 @@ def test_whatever_is_killed_is_back(names: tuple[str, ...], tmp_path: Path, fmu:
     ear.close()
     assert summary["restarts"] == {name: int(name in names) for name in summary["restarts"]}
     run.replayed(fmu)
-    # After each kill the twin's estimates agree with the machine, within their bands.
+    # After each kill the estimates agree with the machine within their bands.
     story = figures.read(run.folder / "record")
     judged = figures.judge(story)
     known = np.isfinite(judged.error)
     assert known.mean() > 0.9 and judged.error[known].max() < 1e-3
     assert (judged.error[known] < story.estimated["band"][known]).mean() > 0.85
-    # All of it has ended.
+    # All processes have ended.
     for name in ENDING:
         for pid in run.pids(name):
             assert subprocess.run(["kill", "-0", str(pid)], capture_output=True, check=False).returncode != 0, (
@@ -196,7 +196,7 @@ def test_whatever_is_killed_is_back(names: tuple[str, ...], tmp_path: Path, fmu:
 
 
 def mosquitto(folder: Path, file: Path) -> "subprocess.Popen[bytes]":
-    """A broker with that configuration."""
+    """A broker with the given configuration."""
     log = (folder / "mosquitto.log").open("ab")
     return subprocess.Popen(["/usr/sbin/mosquitto", "-c", str(file)], cwd=folder, stdout=log, stderr=log)
 
@@ -227,7 +227,7 @@ def test_a_broker_that_is_gone_for_a_while(seconds: int, tmp_path: Path, fmu: Pa
     assert not any(summary["restarts"].values()), "nothing crashed"
     (lost,) = (gap for gap in summary["gaps"] if gap["of"] == "meas")
     missing = lost["last"] - lost["first"] + 1
-    # Those of the while, and those until all are connected again.
+    # Messages lost while the broker is away and until all clients have reconnected.
     assert 200 * seconds <= missing < 200 * (back + 1)
     assert summary["samples"]["estimated"] > 900
     assert summary["tip_error_mm"]["max"] < 1
@@ -235,7 +235,7 @@ def test_a_broker_that_is_gone_for_a_while(seconds: int, tmp_path: Path, fmu: Pa
 
 
 def certificates(folder: Path) -> None:
-    """An authority and a broker's certificate by it, for this machine."""
+    """Makes a certificate authority and a broker's certificate for this machine."""
 
     def openssl(*arguments: str) -> None:
         subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
@@ -265,7 +265,7 @@ def certificates(folder: Path) -> None:
 
 @pytest.fixture
 def secured(tmp_path: Path) -> Iterator[tuple[Path, int]]:
-    """The example of a broker with users, roles and TLS, on a free port: its folder and port."""
+    """The example broker with users, roles and TLS on a free port; returns folder and port."""
     folder = tmp_path / "broker"
     shutil.copytree(EXAMPLES, folder)
     certificates(folder)
@@ -287,7 +287,7 @@ def secured(tmp_path: Path) -> Iterator[tuple[Path, int]]:
 
 
 def test_roles_and_tls(secured: tuple[Path, int], tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """The pipeline runs on the example; an order is heard from an operator alone; others do not get in."""
+    """The pipeline runs on the example; commands are accepted from operators only; other users cannot connect."""
     folder, port = secured
     authority = folder / "ca.crt"
     environment = os.environ | {"FIVEBAR_PASSWORD": "pipeline-secret"}
@@ -316,7 +316,7 @@ def test_roles_and_tls(secured: tuple[Path, int], tmp_path: Path, fmu: Path, sce
     log = (run.folder / "log" / "follow.log").read_text()
     assert log.count("restarting with the next sample: requested") >= 1
     run.replayed(fmu)
-    # Without TLS nobody gets in, and nothing is said in the clear.
+    # Without TLS no client connects, and no password is sent in the clear.
     plain = Ear(port)
     assert not plain.client.is_connected()
     plain.close()
@@ -364,7 +364,7 @@ RESTART = "document.getElementById('restart').click()"
 
 
 def order(browser: Any, script: str, answered: Callable[[], bool]) -> None:
-    """Gives an order until it is answered: one that a busy machine hands on late is refused, and a page waits 3 s for an answer."""
+    """Repeats a command until it is answered: a busy machine may pass it on too late; a page waits 3 s for an answer."""
 
     def given() -> bool:
         browser.execute_script(script)
@@ -377,7 +377,7 @@ def order(browser: Any, script: str, answered: Callable[[], bool]) -> None:
 
 
 def drawn(browser: Any, canvas: Any) -> bool:
-    """Whether anything is drawn on a canvas."""
+    """Whether a canvas shows anything."""
     return browser.execute_script(
         "const c = arguments[0]; return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)",
         canvas,
@@ -386,7 +386,7 @@ def drawn(browser: Any, canvas: Any) -> bool:
 
 @pytest.mark.nightly
 def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """Ten parameters, each as text and as a band over the one before the first sample, for those who see it and those who hear it."""
+    """Ten parameters, each as text and as a band over the prior band, for the eye and for screen readers."""
     with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", "--learn", "--exact") as run:
         with open_browser(run.page, tmp_path) as browser:
             wait_until(lambda: browser.find_element("id", "connection").text == "live")
@@ -396,8 +396,8 @@ def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: 
             value, canvas = payload.find_element("tag name", "b"), payload.find_element("tag name", "canvas")
             assert "before: 50 ± 20 g" in payload.text
             wait_until(lambda: "±" in value.text)
-            # The stand-in's is 60 g.
-            # Both at once, for they change every second.
+            # The stand-in's payload is 60 g.
+            # Read both at once: they change every second.
             text, said = browser.execute_script(
                 "return [arguments[0].textContent, arguments[1].getAttribute('aria-label')]", value, canvas
             )
@@ -414,7 +414,7 @@ def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: 
 
 
 def frozen(folder: Path, fmu: Path, scenes: Path) -> Path:
-    """A recording of 60 s of the stand-in, of which the first encoder freezes after 3 s."""
+    """A recording of 60 s of the stand-in; its first encoder freezes after 3 s."""
     library = Library(fmu)
     source = machine(configured(folder, fmu, library, scenes / "pick_and_place.json", exact=False), library)
     samples = [source.next().fields for _ in range(12_000)]
@@ -432,7 +432,7 @@ def frozen(folder: Path, fmu: Path, scenes: Path) -> Path:
 
 @pytest.mark.nightly
 def test_the_dashboard_names_an_encoder_that_has_frozen(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """The cause stands beside the status, and the run's summary counts one alarm of the encoder."""
+    """The cause is shown beside the status, and the run's summary counts one alarm of the encoder."""
     with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", "--csv", str(frozen(tmp_path, fmu, scenes))) as run:
         with open_browser(run.page, tmp_path) as browser:
             told = "An encoder repeats its value while the machine moves · encoder 1 (100 %)"
@@ -443,7 +443,7 @@ def test_the_dashboard_names_an_encoder_that_has_frozen(tmp_path: Path, fmu: Pat
 
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory, fmu: Path, scenes: Path) -> Iterator[Run]:
-    """A run that goes on until the tests have seen enough."""
+    """A run for several tests."""
     with running(tmp_path_factory.mktemp("live"), fmu, scenes, "--seconds", "inf") as run:
         yield run
         run.stop()
@@ -469,11 +469,11 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
             colour = [int(COLOURS[part][i : i + 2], 16) for i in (1, 3, 5)]
             seen = (np.abs(shot - colour).sum(axis=2) < 30).sum()
             assert seen > least, f"{seen} points of {part}"
-        # The fan of the forecast: the tip's colour, thin over the page.
+        # The fan of the forecast has the tip's colour, thin over the page.
         red, green, blue = np.moveaxis(shot, 2, 0)
         fan = (green >= red) & (green > blue + 2) & (shot.min(axis=2) > 180)
         assert fan.sum() > 40, f"{fan.sum()} points of the fan"
-        # Moving: the picture changes.
+        # The machine moves: the picture changes.
         before = browser.find_element("id", "canvas").screenshot_as_png
         wait_until(lambda: browser.find_element("id", "canvas").screenshot_as_png != before)
         assert not browser.find_element("id", "learned").is_displayed(), "a panel of what is not learned"
@@ -494,8 +494,8 @@ def test_the_dashboard_is_for_this_machine_only(live: Run, headers: dict[str, st
     assert found == code
 
 
-def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) -> None:
-    """Each of these froze it for good while it said "live". Python and the page refuse the same, by the same schema."""
+def test_the_dashboard_withstands_malformed_messages(live: Run, tmp_path: Path) -> None:
+    """Each of these once froze the page while it showed "live". Python and the page refuse the same messages by the same schema."""
     port = live.config["broker"]["port"]
     ear = Ear(port)
 
@@ -509,7 +509,7 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
             ("est", {"inputs": 5}),
         ]
         for kind, changes in wrong:
-            # A page that draws slowly is sent the newest message of a kind only: one that was skipped is sent again.
+            # A slow page receives only the newest message of a kind: a skipped message is sent again.
             def refused(kind: str = kind, changes: dict[str, Any] = changes) -> bool:
                 before = browser.find_element("id", "refused").text
                 ear.client.publish(topic("bench", kind), json.dumps(of_kind(kind, **changes)), qos=1).wait_for_publish(
@@ -524,7 +524,7 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
         wait_until(lambda: float(browser.find_element("id", "clock").text) > before + 0.3)
         wait_until(lambda: browser.find_element("id", "connection").text == "live")
         assert not browser.find_element("id", "undrawn").is_displayed()
-        # An order from a clock that is ahead is answered in words.
+        # A command from a clock that is ahead is answered in words.
         ahead = f"const now = Date.now; Date.now = () => now() + 90000; {RESTART}; Date.now = now;"
         order(browser, ahead, lambda: "ahead of the pipeline's own" in browser.find_element("id", "order").text)
         order(browser, RESTART, lambda: browser.find_element("id", "order").text.startswith("restarting"))
@@ -543,7 +543,7 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
 
 @pytest.mark.parametrize("width", [390, pytest.param(1280, marks=pytest.mark.nightly)])
 def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path: Path) -> None:
-    """Pill and status stayed green for 4.6 s, on a telephone too. Estimates that still come, and are old, make nothing green."""
+    """Pill and status turn grey, on a telephone too. Old estimates that still arrive do not turn them green."""
     ear = Ear(live.config["broker"]["port"], "est")
     with open_browser(live.page, tmp_path) as browser:
         browser.execute_cdp_cmd(
@@ -564,7 +564,7 @@ def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path
 
             def behind() -> bool:
                 ear.client.publish(topic("bench", "est"), json.dumps(last | {"time": last["time"] + next(later)}))
-                # All at once, for after a second without estimates the page says so.
+                # All at once: after a second without estimates the page would report it.
                 script = "return ['connection', 'status'].flatMap((id) => [document.getElementById(id).textContent, document.getElementById(id).className])"
                 shown[:] = browser.execute_script(script)
                 return shown[0].endswith("s behind")
@@ -584,7 +584,7 @@ def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path
 
 @pytest.mark.nightly
 def test_a_slow_page_is_not_late(live: Run, tmp_path: Path) -> None:
-    """On a processor a twentieth as fast it was 7.3 s behind, and more and more: it leaves out instead."""
+    """On a processor a twentieth as fast, the page skips messages; drawing all of them, it was 7.3 s behind and fell further back."""
     listen = """
         const send = WebSocket.prototype.send;
         window.reports = [];
@@ -610,7 +610,7 @@ def test_a_slow_page_is_not_late(live: Run, tmp_path: Path) -> None:
         f"a page on a processor a twentieth as fast: {late:.0f} ms from sample to page, {usual:.0f} ms before; pictures up to {longest:.0f} ms apart"
     )
     print(f"of {came:.0f} samples and estimates it got {handled:.0f}, at most {np.diff(drawn).max():.0f} for a picture")
-    # No more waits for a picture, however long that takes, and of 400 messages a second the others are left out.
+    # No more messages wait for a picture, however long it takes; the rest of the 400 a second are skipped.
     assert np.diff(drawn).max() <= KEPT * len(SKIPPED) and handled < came
     # A message waits for one picture, and is shown with the next.
     assert late < usual + 2 * longest + 100

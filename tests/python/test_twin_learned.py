@@ -1,4 +1,4 @@
-"""Panel of the dashboard, learned.json, a unit of one's own, a calibration, the next run: a user gets there what a twin has learned."""
+"""Learned values reach the user: panel of the dashboard, learned.json, a unit of one's own, a calibration, the next run."""
 
 import json
 import math
@@ -41,7 +41,7 @@ LENGTHS = (*(f"link[{i}].length" for i in (1, 2, 3, 4)), "base.distance")
 def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(
     tmp_path: Path, fmu: Path, library: Library
 ) -> None:
-    """Springs throw the machine about: three seconds tell its masses, which are 3 to 5 % off, to 0.5 %, and its payload, a fifth off, to 1 %."""
+    """Springs throw the machine about. After three seconds masses that were off by 3 to 5 % are known to 0.5 %, a payload off by a fifth to 1 %."""
     config = configured(tmp_path / "first", fmu, library, "spring_payload", learn=True, exact=True)
     run, truth = recorded(config, library, 600), config.machine.hidden
     learned = figures.read(run.folder).learned
@@ -55,10 +55,10 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(
         off, learned_off = (abs(each[name] / truth[name] - 1) for each in (before, after))
         assert off > 0.025 and learned_off < 0.005, (name, off, learned_off)
         inertia = name.replace("mass", "inertia")
-        # Inertia is learned along with its mass.
+        # Inertia is learned with the mass.
         assert after[inertia] / before[inertia] == pytest.approx(after[name] / before[name], rel=1e-12)
     assert abs(after["payload.mass"] / truth["payload.mass"] - 1) < 0.01
-    # The scene has no friction, the machine has the unit's usual one; it is learned to 12 % (rms), worst in the joints at the motors.
+    # The scene has no friction, the machine has the unit's default. It is learned to 12 % (rms); the joints at the motors are worst.
     assert after["viscous.enabled"] is True and not before["viscous.enabled"]
     off = [abs(after[f"viscous.b[{i}]"] / 1e-4 - 1) for i in range(1, 6)]
     assert math.hypot(*off) < 0.2 * math.sqrt(5) and max(off) < 0.35, off
@@ -84,7 +84,7 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(
         "payload.mass": after["payload.mass"]
     }
 
-    # Half a second of its own motion: the learned machine is nineteen times nearer to the machine, and has to be ten times.
+    # Half a second of free motion: the learned machine is nineteen times closer than the scene; ten times is required.
     tips = []
     unit = Unit.of(library)
     for values in (before.values | truth, before.values, after.values):
@@ -97,7 +97,7 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(
 
 
 def followed(config: Config, library: Library, samples: int) -> tuple[float, float, float]:
-    """Of the last half of so many samples: median error of the tip and half-width of its band, m, and the part of the tips in their bands."""
+    """Follows `samples` samples. Of the last half: median error of the tip, m, median half-width of its band, m, and the share inside."""
     twin, source, errors = follower(config, library), machine(config, library), []
     for k in range(samples):
         sample = source.next()
@@ -127,7 +127,7 @@ def followed(config: Config, library: Library, samples: int) -> tuple[float, flo
 
 
 def learned_in(config: Config, library: Library, samples: int) -> Message:
-    """Values and widths that a twin has learned after so many samples of its machine."""
+    """Values and standard deviations that a twin has learned after `samples` samples of its machine."""
     twin, source = follower(config, library), machine(config, library)
     for _ in range(samples):
         twin.meas(source.next())
@@ -139,12 +139,12 @@ def learned_in(config: Config, library: Library, samples: int) -> Message:
 
 
 @pytest.mark.parametrize("exact", [True, False])
-def test_a_fall_does_not_tell_a_common_factor_of_masses(
+def test_a_fall_does_not_determine_a_common_factor_of_masses(
     tmp_path: Path, fmu: Path, library: Library, exact: bool
 ) -> None:
-    """The factor stays as uncertain as it was, 5 % by the root of four masses, and as good, while friction that is unknown is learned beside it.
+    """The common factor keeps value and uncertainty (5 %, divided by the root of four masses) while unknown friction is learned.
 
-    A filter whose errors of friction do not go along with the factor takes it for known to 0.5 to 1.4 %, and is 14 % off here by inexact geometry.
+    If friction did not scale with the factor, the filter would claim 0.5 to 1.4 %, and be off by 14 % with inexact geometry.
     """
     config = configured(tmp_path, fmu, library, "fall_90_120", learn=True, exact=exact)
     config = replace(config, twin=config.twin | ({} if exact else TRUE_DISCS))
@@ -153,20 +153,19 @@ def test_a_fall_does_not_tell_a_common_factor_of_masses(
     factors = [values[name] / truth[name] for name in MASSES]
     before = math.prod(float(library.variable(name).start) / truth[name] for name in MASSES) ** 0.25
     for i, name in enumerate(MASSES, 1):
-        # Ratios of masses are learned to 0.1 %, which add nothing to 2.5 %.
+        # Ratios of masses are learned to 0.1 %, negligible beside 2.5 %.
         assert learned.fields[f"estimated.mass.sigma[{i}]"] / values[name] == pytest.approx(0.025, rel=0.02), name
-    # Round-off and what is not linear; a standard deviation is 2.5 %.
+    # Round-off and nonlinearity; a standard deviation is 2.5 %.
     assert math.prod(factors) ** 0.25 == pytest.approx(before, abs=0.0025)
     assert max(factors) / min(factors) < 1.005
     assert all(abs(values[f"viscous.b[{i}]"] / 1e-4 - 1) < 0.1 for i in range(1, 6))
 
 
-def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fmu: Path, library: Library) -> None:
-    """A machine whose lengths are 0.1 % and whose encoders are 1 and 2 mrad off is learned in falls, handed over, and followed again.
+def test_lengths_and_encoder_offsets_are_written_together(tmp_path: Path, fmu: Path, library: Library) -> None:
+    """Lengths off by 0.1 % and encoders off by 1 and 2 mrad are learned in falls, written, and used to follow the machine again.
 
-    The tip is 0.22 mm off by the scene's values, 0.009 mm by what was learned, and 0.28 mm by the learned lengths without their mounting angles. The learned
-    lengths and mounting angles with the machine's own masses and friction leave 0.010 mm as well. Bands are those of the scene's widths, 1.7 to 1.8 mm, in
-    all runs.
+    Errors of the tip: 0.22 mm with the scene's values, 0.009 mm with all learned values, 0.28 mm with learned lengths but no offsets, 0.010 mm
+    with learned lengths and offsets and the machine's own masses and friction. Bands, 1.7 to 1.8 mm in all runs, follow from the scene's priors.
     """
     folder = tmp_path / "first"
     config = configured(folder, fmu, library, "fall_90_120", learn=True)
@@ -176,7 +175,7 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
     values = learned_in(config, library, 1000).extra["values"]
     for name in OFFSETS:
         assert abs(values[name] - truth[name]) < 2e-5, (name, values[name])
-    # A fortieth of what they are off.
+    # A fortieth of the initial error.
     for name in LENGTHS:
         assert abs(values[name] - truth[name]) < 5e-6, (name, values[name])
 
@@ -193,7 +192,7 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
     assert error < found["scene"][0] / 10 and error < found["lengths"][0] / 10, found
     assert inside > 0.95 and error < width and 0.5 < width / found["scene"][1] < 2, found
 
-    # Learned on, mounting angles add up.
+    # If learning continues, newly learned offsets add to the written ones.
     again = configured(tmp_path / "on", fmu, library, tmp_path / "all.json", learn=True)
     again = replace(again, twin=again.twin | TRUE_DISCS)
     more = learned_in(replace(again, machine=config.machine), library, 600).extra["values"]
@@ -206,10 +205,10 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
     assert all(f"{values[name]:.6g} rad for measured.theta{name[-3:]}" in made.notes[-1] for name in OFFSETS)
 
 
-def test_a_calibration_begins_from_mounting_angles_and_hands_them_on(
+def test_a_calibration_starts_from_encoder_offsets_and_writes_them(
     tmp_path: Path, fmu: Path, library: Library
 ) -> None:
-    """Sought or not, and its own scene has them: residuals are those of the encoder's steps, 0.03 mrad, instead of 1 mrad."""
+    """Offsets may be unknowns or not; the written scene has them. Residuals are the encoder's steps, 0.03 mrad, instead of 1 mrad."""
     offsets = dict(zip(OFFSETS, (1e-3, -1.5e-3), strict=True))
     config = configured(tmp_path, fmu, library, "fall_90_120", exact=True)
     run = recorded(replace(config, machine=replace(config.machine, hidden=offsets)), library, 240)
@@ -235,8 +234,8 @@ def test_a_calibration_begins_from_mounting_angles_and_hands_them_on(
     assert found["unknowns"][OFFSETS[0]]["scene"] == {OFFSETS[0]: 1e-3}
 
 
-def test_drives_get_the_same_orders(tmp_path: Path, fmu: Path, library: Library) -> None:
-    """Servos close on encoders: their orders stay those of the plan, and forecasts of a machine that keeps its orders have a plan."""
+def test_drives_get_the_same_commands(tmp_path: Path, fmu: Path, library: Library) -> None:
+    """Servos use encoder angles: commands stay as planned, and forecasts of a machine that keeps its commands have a plan."""
     first = configured(tmp_path / "first", fmu, library, "pick_and_place", exact=True)
     handover.write(tmp_path / "learned.json", first.path / scene.SOURCE, dict(zip(OFFSETS, (1e-3, -2e-3), strict=True)))
     again = configured(tmp_path / "again", fmu, library, tmp_path / "learned.json", exact=True)
@@ -248,7 +247,7 @@ def test_drives_get_the_same_orders(tmp_path: Path, fmu: Path, library: Library)
         twin.meas(sample)
         assert twin.book is not None and twin.book.on_plan
     told = twin.estimate().fields
-    # Estimates are of true angles.
+    # Estimates are true angles, without offsets.
     assert (
         told["theta[1]"] == pytest.approx(sample.fields["measured.theta[1]"] - 1e-3, abs=2e-3)
         and told["estimated.tau.sigma[1]"] > 0
@@ -257,8 +256,8 @@ def test_drives_get_the_same_orders(tmp_path: Path, fmu: Path, library: Library)
         each.close()
 
 
-def test_a_value_at_its_bound_is_told_to_whoever_listens(tmp_path: Path, fmu: Path, library: Library) -> None:
-    """An encoder that is mounted ten standard deviations off: one warning of the unit, one alarm for the dashboard."""
+def test_a_value_at_its_bound_is_reported(tmp_path: Path, fmu: Path, library: Library) -> None:
+    """An encoder offset of ten standard deviations: one warning of the unit, one alarm for the dashboard."""
     config = configured(tmp_path, fmu, library, "fall_90_120", learn=True)
     hidden = config.machine.hidden | {OFFSETS[0]: 2e-2}
     run = recorded(replace(config, machine=replace(config.machine, hidden=hidden)), library, 600)
@@ -274,8 +273,8 @@ def test_a_value_at_its_bound_is_told_to_whoever_listens(tmp_path: Path, fmu: Pa
     assert len(sentences) == len(set(sentences)) and all("has been moved to its bound" in each for each in sentences)
 
 
-def test_mounting_angles_of_a_scene_are_checked(tmp_path: Path, library: Library) -> None:
-    """A turn, a text, or a name that is no encoder's."""
+def test_encoder_offsets_of_a_scene_are_checked(tmp_path: Path, library: Library) -> None:
+    """A turn, a text, or a name that is not an encoder is refused."""
     for entry, sentence in (
         ({OFFSETS[0]: 4}, "'encoder.offset[1]' must be an angle of -pi to pi in rad, not 4"),
         ({OFFSETS[1]: "1 mrad"}, "'encoder.offset[2]' must be an angle of -pi to pi in rad"),
@@ -290,7 +289,7 @@ def test_mounting_angles_of_a_scene_are_checked(tmp_path: Path, library: Library
 
 
 def test_a_variable_with_a_signal_keeps_it(tmp_path: Path, library: Library) -> None:
-    """A payload that the scene changes with time is no start value, and a sentence does not come twice."""
+    """A payload that the scene changes with time is not written as a start value, and no sentence comes twice."""
     source, learned = scenes_of.found("pick_up"), tmp_path / "learned.json"
     signalled = json.loads(source.read_text())["signals"]
     assert "payload.mass" in signalled
@@ -302,8 +301,8 @@ def test_a_variable_with_a_signal_keeps_it(tmp_path: Path, library: Library) -> 
     scenes_of.read(learned, library.known)
 
 
-def test_learning_is_off_unless_it_is_asked_for(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> None:
-    """By the scene or by the switch; widths that the scene gives stay."""
+def test_learning_is_off_by_default(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> None:
+    """Scene or switch turn it on; standard deviations of the scene are kept."""
     config = configured(tmp_path / "off", fmu, library, "pick_and_place")
     assert dashboard.about(config)["learned"] == []
     own = json.loads((scenes / "pick_and_place.json").read_text())
@@ -329,11 +328,11 @@ def test_learning_is_off_unless_it_is_asked_for(tmp_path: Path, fmu: Path, libra
 
 
 def test_page_and_watch_have_the_same_words_for_causes(tmp_path: Path, fmu: Path, library: Library) -> None:
-    """The page told no cause, and would tell another one than the alarm's beside it by a list of its own."""
+    """Page and alarm show the same cause: both use the names of the watch."""
     assert tuple(dashboard.about(configured(tmp_path, fmu, library, "pick_and_place"))["causes"]) == CAUSES
     script = (Path(dashboard.__file__).with_name("page") / "dashboard.js").read_text(encoding="utf-8")
     assert "causeOf(f, about.causes)" in script and "force at the tip" not in script
-    # Numbers are those of the unit: a torque at each motor, a force, each encoder, parameters, timing.
+    # Numbers as in the unit: a torque at each motor, a force, each encoder, parameters, timing.
     told = library.variable("estimated.cause").description
     assert (
         "1 and 2 a torque" in told
@@ -342,15 +341,15 @@ def test_page_and_watch_have_the_same_words_for_causes(tmp_path: Path, fmu: Path
 
 
 def test_the_page_counts_what_the_server_counts() -> None:
-    """A page that counted other messages too would be sent more than it can draw."""
+    """If the page counted other messages too, the server would send more than the page can draw."""
     script = (Path(dashboard.__file__).with_name("page") / "dashboard.js").read_text(encoding="utf-8")
     found = re.search(r"^const SKIPPED = (\[.*?\]);", script, re.MULTILINE)
     assert found and tuple(json.loads(found[1])) == dashboard.SKIPPED
 
 
 @pytest.mark.nightly
-def test_the_command_learns_and_hands_over(tmp_path: Path, fmu: Path) -> None:
-    """Processes, broker and summary; a run that does not learn leaves no scene of an earlier one that did."""
+def test_the_command_learns_and_writes_a_scene(tmp_path: Path, fmu: Path) -> None:
+    """Processes, broker and summary; a run without learning removes the learned scene of an earlier run."""
 
     def text(*more: str) -> str:
         command = [

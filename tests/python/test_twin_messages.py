@@ -1,4 +1,4 @@
-"""Messages of the twin's pipeline: what is right comes through unchanged, everything else is refused with one sentence."""
+"""Messages of the twin's pipeline: valid ones pass unchanged, all others are refused with one sentence."""
 
 import json
 import logging
@@ -26,7 +26,7 @@ PERIOD_NS = 5_000_000
 
 
 def changed(**changes: Any) -> bytes:
-    """A sample with something else in it; None leaves something out."""
+    """A sample with fields replaced; None removes a field."""
     content = json.loads(encode(MEAS)) | changes
     return json.dumps({name: value for name, value in content.items() if value is not None}).encode()
 
@@ -71,7 +71,7 @@ def test_a_message_comes_back_to_the_bit() -> None:
         (changed(time=1795331400000000000.0), "not an integer"),
     ],
 )
-def test_what_is_wrong_is_refused(payload: bytes, sentence: str) -> None:
+def test_invalid_samples_are_refused(payload: bytes, sentence: str) -> None:
     with pytest.raises(Refused) as refusal:
         decode(TOPIC, payload)
     assert sentence in str(refusal.value)
@@ -94,7 +94,7 @@ def test_other_topics_are_refused(wrong: str) -> None:
         decode(wrong, encode(MEAS))
 
 
-def test_an_order_has_its_bounds() -> None:
+def test_a_command_has_bounds() -> None:
     def order(kind: str, fields: dict[str, float], **extra: Any) -> Message:
         return decode(topic("bench", kind), encode(Message(kind, "bench", 1, 1, fields, extra)))
 
@@ -131,7 +131,7 @@ GOOD: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("cause", [8.0, -1.0, 0.5])
-def test_a_cause_that_has_no_name_is_refused(cause: float) -> None:
+def test_a_cause_without_a_name_is_refused(cause: float) -> None:
     """The watch looks its name up."""
     fields = GOOD["est"]["fields"] | {"estimated.cause": cause}
     with pytest.raises(Refused):
@@ -145,12 +145,12 @@ def test_a_cause_that_has_no_name_is_refused(cause: float) -> None:
 
 
 def of_kind(kind: str, **changes: Any) -> dict[str, Any]:
-    """The good message of a kind, changed."""
+    """The valid message of a kind with changes."""
     return {"measurement": kind, "time": 5, "seq": 1, "tags": {"unit": "bench"}} | GOOD[kind] | changes
 
 
 def wrong_ones(kind: str) -> list[Any]:
-    """The good message of a kind with one thing gone, of another type, or too much: at every place of it."""
+    """The valid message of a kind with one entry removed, added or of another type, for every entry."""
     found: list[Any] = []
     content = of_kind(kind)
 
@@ -183,7 +183,7 @@ def wrong_ones(kind: str) -> list[Any]:
 
 @pytest.mark.parametrize("kind", GOOD)
 def test_every_kind_has_its_schema(kind: str) -> None:
-    """The good one is taken; nothing that is changed in a way that no reader expects, at whatever place of it."""
+    """The schema accepts the valid message and refuses every variant of `wrong_ones`, as Python does."""
     good = of_kind(kind)
     assert decode(topic("bench", kind), json.dumps(good).encode()).kind == kind
     wrong = wrong_ones(kind)
@@ -214,15 +214,15 @@ def test_every_kind_has_its_schema(kind: str) -> None:
         ("whatif", {"candidates": []}, "candidates"),
     ],
 )
-def test_what_no_reader_expects_is_refused_in_words(kind: str, changes: dict[str, Any], sentence: str) -> None:
-    """Each of these once stopped the dashboard, or ended the summary in a KeyError."""
+def test_malformed_messages_are_refused_with_a_reason(kind: str, changes: dict[str, Any], sentence: str) -> None:
+    """Each of these once stopped the dashboard or ended the summary with a KeyError."""
     with pytest.raises(Refused) as refusal:
         decode(topic("bench", kind), json.dumps(of_kind(kind, **changes)).encode())
     assert sentence in str(refusal.value)
 
 
 class Listener(Worker):
-    """A process that takes samples in their order and does nothing with them."""
+    """A process that accepts samples in order and ignores them."""
 
     name, kinds = "listener", ("meas",)
 
@@ -236,7 +236,7 @@ class Listener(Worker):
 
 
 def fuzzed(chance: random.Random, good: bytes) -> tuple[str, bytes]:
-    """Something that must be refused: topic and payload."""
+    """Returns a topic and payload that must be refused."""
     kind = chance.randrange(8)
     if kind == 0:
         return TOPIC, chance.randbytes(chance.randrange(200))
@@ -256,7 +256,7 @@ def fuzzed(chance: random.Random, good: bytes) -> tuple[str, bytes]:
         return TOPIC, good.replace(
             b'"time":', chance.choice([b'"time":-', b'"time":1.', b'"time":"', b'"time":99', b'"tim":'])
         )
-    # An old message, sent again.
+    # An old message again.
     return TOPIC, encode(
         Message("meas", "bench", MEAS.time + PERIOD_NS * (old := chance.randrange(100)), old, MEAS.fields)
     )
@@ -290,7 +290,7 @@ def sample(seq: int, time: int | None = None) -> Message:
 
 
 def admit(intake: Intake, *messages: Message, now: int | None = None) -> list[str]:
-    """Classes of the messages: new, late, series or refused; at a time of the pipeline's clock, or when each was made."""
+    """Classes of the messages (new, late, series, refused) at a time of the pipeline's clock, or at the time of each message."""
     results = []
     for message in messages:
         try:
@@ -317,7 +317,7 @@ def test_a_jump_of_the_clock_is_no_new_series() -> None:
         assert admit(intake, *(sample(i, begin + jump + PERIOD_NS * i) for i in range(3, 6))) == ["new"] * 3
 
 
-def test_a_machine_that_counts_anew_is_believed_after_some_samples() -> None:
+def test_a_machine_that_restarts_its_count_is_accepted_after_some_samples() -> None:
     intake = Intake(0.005)
     admit(intake, *(sample(i) for i in range(1000, 1100)))
     later = sample(1100).time + 10**9
@@ -325,7 +325,7 @@ def test_a_machine_that_counts_anew_is_believed_after_some_samples() -> None:
     assert results == ["refused"] * (CONSISTENT - 1) + ["series"] + ["new"] * 5
 
 
-def test_one_forged_sample_ends_no_series_and_old_ones_begin_none() -> None:
+def test_one_forged_sample_ends_no_series_and_old_ones_start_none() -> None:
     intake = Intake(0.005)
     admit(intake, *(sample(i) for i in range(1000)))
     forged = sample(10**9, sample(1000).time)

@@ -1,4 +1,4 @@
-"""The twin under misuse: what cannot be followed is said, a full disk ends no estimates, clocks may jump, nothing ends in a traceback."""
+"""The twin under misuse: wrong input is named, a full disk does not end estimates, clocks may jump, no error is a traceback."""
 
 import errno
 import json
@@ -58,7 +58,7 @@ def samples(config: Config, library: Library, count: int) -> list[Message]:
 
 
 class Ear:
-    """Collects what a worker publishes."""
+    """Collects the messages of a worker."""
 
     def __init__(self, *workers: Any):
         self.heard: list[Message] = []
@@ -74,7 +74,7 @@ class Ear:
 
 
 def command(*arguments: object, **more: Any) -> "subprocess.CompletedProcess[str]":
-    """The console command, which must not end in a traceback."""
+    """Runs `fivebar`, which must not end with a traceback."""
     run = subprocess.run(
         [*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=PATIENCE, **more
     )
@@ -82,11 +82,11 @@ def command(*arguments: object, **more: Any) -> "subprocess.CompletedProcess[str
     return run
 
 
-# --- 1: what cannot be followed -------------------------------------------------------------------------------------------------------
+# --- 1: samples and scenes that cannot be followed ------------------------------------------------------------------------------------
 
 
 def test_a_scene_that_can_never_be_followed_ends_the_start(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """A run without this refusal published 1,616 samples, estimated none, and said nothing."""
+    """Without this refusal a run published 1,616 samples, estimated none, and reported nothing."""
     run = command(
         "twin", "--scene", scenes / "stick_slip.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 30
     )
@@ -95,10 +95,10 @@ def test_a_scene_that_can_never_be_followed_ends_the_start(tmp_path: Path, fmu: 
 
 
 @pytest.mark.parametrize("what", ["open", "degrees", "lengths"])
-def test_a_start_that_is_refused_is_told(
+def test_a_refused_start_is_reported(
     what: str, tmp_path: Path, fmu: Path, library: Library, scenes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A first sample that cannot be closed, degrees for radians, other lengths: a line in the log, one for the terminal, an alarm."""
+    """A loop that cannot close, degrees for radians, other lengths: each gives a log line, a line on the terminal and an alarm."""
     config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json", exact=True)
     taken = samples(config, library, 40)
     if what == "lengths":
@@ -120,7 +120,7 @@ def test_a_start_that_is_refused_is_told(
     told = [alarm["sentence"] for alarm in ear.alarms()]
     assert any("cannot be closed" in sentence for sentence in told), told
     assert what != "degrees" or any("degrees?" in sentence for sentence in told)
-    # Each once, though every sample is refused: 40 alarms would hide all else.
+    # Each once, although every sample is refused: 40 alarms would hide all others.
     assert len(told) <= 3 and capsys.readouterr().out.splitlines() == told
     twin.follower.close()
 
@@ -137,8 +137,8 @@ def test_one_encoder_alone_starts_nothing_and_says_so(config: Config, library: L
     twin.follower.close()
 
 
-def test_silence_counts_where_no_estimate_has_ever_come(tmp_path: Path) -> None:
-    """Samples without estimates for 2.5 s; without samples, half a minute."""
+def test_silence_counts_before_the_first_estimate(tmp_path: Path) -> None:
+    """With samples, after 2.5 s without estimates; without samples, after half a minute."""
     for send_samples, before, after in ((True, 2.4e9, 2.7e9), (False, NO_SAMPLE + 2.4e9, NO_SAMPLE + 2.7e9)):
         watch = Watch(Config(str(tmp_path), "", ""))
         ear = Ear(watch)
@@ -161,8 +161,8 @@ def test_silence_counts_where_no_estimate_has_ever_come(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("off", [0, 3600, -3600])
-def test_estimates_that_fall_behind_are_told(off: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each comes a millisecond later than the one before, from a machine whose clock is right or an hour off: nothing said so."""
+def test_estimates_that_fall_behind_are_reported(off: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each estimate is a millisecond later than the one before; the clock of the machine is right or an hour off."""
     watch = Watch(Config(str(tmp_path), "", ""))
     ear = Ear(watch)
 
@@ -178,14 +178,14 @@ def test_estimates_that_fall_behind_are_told(off: int, tmp_path: Path, capsys: p
     assert {(alarm["cause"], alarm["from"]) for alarm in troubles} == {
         ("behind", "watch")
     } and "estimates are 1.0 s behind" in capsys.readouterr().out
-    # In time again, and by a clock that was set back.
+    # On time again, also with a clock that was set back.
     for seq in range(4000, 8000):
         estimated(seq, BEGIN + 1_000_000_000 * (off - 40) + PERIOD_NS * seq, 0.0)
     assert len([alarm for alarm in ear.alarms() if alarm["state"] == "trouble"]) == len(troubles)
 
 
 def sent(twin: Twin, payloads: list[bytes], topic: str = "fivebar/bench/meas", later: int = 0) -> list[dict[str, Any]]:
-    """Samples that come every 5 ms, to the twin and to the record; the twin's alarms."""
+    """Sends samples every 5 ms to the twin and the record; returns the twin's alarms."""
     recorder = Recorder(twin.config)
     recorder.about = twin.setup.to_message("bench", BEGIN)
     recorder.begin()
@@ -203,7 +203,7 @@ def sent(twin: Twin, payloads: list[bytes], topic: str = "fivebar/bench/meas", l
 
 
 def summed_up(config: Config, twin: Twin, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """Exit code and last sentence of a run whose record has what the recorder would take."""
+    """Exit code and last sentence of the summary of the run."""
     status = {"follow": [json.loads(json.dumps(twin.status()))]}
     code = summary.write(config, status, {}, config.path / "out")
     return code, capsys.readouterr().out.strip().splitlines()[-1]
@@ -214,16 +214,16 @@ def summed_up(config: Config, twin: Twin, capsys: pytest.CaptureFixture[str]) ->
 def test_times_of_another_unit_are_never_believed(
     unit: str, ns: int, clock: str, config: Config, library: Library, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Times in ms were believed after 20 samples: by their clock the machine stood still."""
+    """Times in ms must not be accepted, not even after 20 samples: by such a clock the machine stands still."""
     begin = {"since 1970": BEGIN, "an hour off": BEGIN - HOUR, "since the machine was switched on": HOUR}[clock]
-    # Whole seconds do not go on from one sample to the next, but where there are few.
+    # Whole seconds do not increase from sample to sample unless samples are rare.
     every = 1 if unit != "seconds" else 200
     taken = samples(config, library, 400 // every)
     twin = Twin(config, library)
     changed = [encode(replace(m, seq=k, time=(begin + every * PERIOD_NS * k) // ns)) for k, m in enumerate(taken)]
     told = sent(twin, [p for p in changed for _ in range(every)])
     assert twin.counts["taken"] == twin.counts["estimated"] == 0
-    # Whole seconds of a clock that nobody knows may be anything.
+    # Whole seconds of an unknown clock are not recognisable as such.
     question = f"are these {unit}?" if unit != "seconds" or clock != "since the machine was switched on" else ""
     assert told and all(a["state"] == "trouble" and question in a["sentence"] for a in told), told
     code, last = summed_up(config, twin, capsys)
@@ -239,16 +239,16 @@ def test_a_unit_that_changes_within_a_series_is_refused(config: Config, library:
     twin.follower.close()
 
 
-def test_a_time_in_seconds_with_a_fraction_is_asked_for() -> None:
+def test_a_time_in_fractional_seconds_is_named() -> None:
     with pytest.raises(Refused, match=r"ns since 1970 are expected: are these seconds\?"):
         decode("fivebar/bench/meas", json.dumps(of_kind("meas", time=1e-9 * BEGIN)).encode())
 
 
 @pytest.mark.parametrize("what", ["seq", "tags", "text", "topic"])
-def test_samples_that_are_all_refused_are_told(
+def test_a_run_with_only_refused_samples_says_so(
     what: str, config: Config, library: Library, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The summary asked whether the scene is this machine's, and the terminal said nothing."""
+    """Terminal and summary give the reason of the refusals."""
     taken = samples(config, library, 600)
     twin = Twin(config, library)
     heard: list[bool] = []
@@ -265,7 +265,7 @@ def test_samples_that_are_all_refused_are_told(
         twin.tick(BEGIN - 10**10)
         assert not heard
         twin.tick(BEGIN)
-        assert heard == [True], "samples of others are listened to when there are none of this unit"
+        assert heard == [True], "without samples of this unit, the twin listens to other units"
     told = sent(twin, payloads, "fivebar/other/meas" if what == "topic" else "fivebar/bench/meas")
     reason = {
         "seq": "meas 0 was taken already",
@@ -289,7 +289,7 @@ def test_samples_that_are_all_refused_are_told(
 
 
 def test_a_few_refused_samples_are_no_trouble(config: Config, library: Library) -> None:
-    """Those before a machine whose clock is another one is believed; each sample comes twice, and a malformed one with it."""
+    """The first samples of a machine with another clock are refused; later each sample comes twice, with a malformed message."""
     twin = Twin(config, library)
     taken = [encode(replace(m, time=m.time - HOUR)) for m in samples(config, library, 300)]
     told = sent(twin, [each for payload in taken for each in (payload, payload, b"{")])
@@ -299,7 +299,7 @@ def test_a_few_refused_samples_are_no_trouble(config: Config, library: Library) 
 
 
 def test_retained_messages_are_ignored(tmp_path: Path) -> None:
-    """A broker keeps them: an order came again at each connection, a sample began a run before the machine's own did."""
+    """A broker sends retained messages at each connection: old commands and samples must have no effect."""
     came: list[str] = []
     bus = Bus(Config(str(tmp_path), "", "").broker, "bench", "follow", Twin.kinds, lambda topic, _: came.append(topic))
     for retained in (True, False):
@@ -314,7 +314,7 @@ def test_retained_messages_are_ignored(tmp_path: Path) -> None:
 
 
 def fill(monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
-    """A disk that can be full."""
+    """A simulated full disk."""
     disk = {"full": False}
     write = record.pq.write_table
 
@@ -336,7 +336,7 @@ def test_a_full_disk_ends_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The recorder died of it twenty times, and the run with it. A short while costs nothing; a long one a gap that is named."""
+    """The recorder survives: if the disk is full briefly, nothing is lost; if longer, the summary names the gap."""
     monkeypatch.setattr("fivebar.twin.recorder.MOST_WAITING", waiting)
     monkeypatch.setattr("fivebar.twin.recorder.FLUSH_EVERY", 0.0)
     disk = fill(monkeypatch)
@@ -350,7 +350,7 @@ def test_a_full_disk_ends_nothing(
             wire.tick()
     wire.end()
     source.close()
-    assert twin.counts["estimated"] == 1600, "estimates go on"
+    assert twin.counts["estimated"] == 1600, "estimates continue"
     told = capsys.readouterr().out.splitlines()
     assert (
         len(told) == 2
@@ -374,7 +374,7 @@ def test_a_full_disk_ends_nothing(
 
 @pytest.mark.nightly
 def test_a_small_disk(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """A whole run on a real disk that is full: no traceback, estimates to the end, and what is not recorded is said."""
+    """A whole run on a real full disk: no traceback, estimates to the end, and the summary names the missing rows."""
     small = tmp_path / "small"
     small.mkdir()
     if (
@@ -404,7 +404,7 @@ def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path, caplog: pytes
     assert len([r for r in caplog.records if "is not written" in r.getMessage()]) == 1
 
 
-def test_a_summary_that_cannot_be_written_is_a_sentence(
+def test_a_summary_that_cannot_be_written_ends_with_one_sentence(
     config: Config, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recorded(config, library, 50)
@@ -424,8 +424,8 @@ def admit(intake: Intake, seq: int, time: int, now: int) -> str:
         return "refused"
 
 
-def test_a_clock_that_was_set_ahead_and_right_again_locks_nobody_out() -> None:
-    """After it a machine that counted anew was refused 120,000 times of 120,000."""
+def test_a_clock_set_ahead_and_back_refuses_no_later_samples() -> None:
+    """A machine that restarts its count afterwards was refused for 120,000 of 120,000 samples."""
     intake, now = Intake(0.005), BEGIN
     for seq in range(300):
         now = BEGIN + PERIOD_NS * seq
@@ -438,8 +438,8 @@ def test_a_clock_that_was_set_ahead_and_right_again_locks_nobody_out() -> None:
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_one_sample_of_another_century_locks_nobody_out(first: bool) -> None:
-    """With a time of 2255, as the first of all or in the place of the next one; the machine counts anew after it."""
+def test_one_sample_of_another_century_refuses_no_later_samples(first: bool) -> None:
+    """One sample has a time in 2255: the first of all, or a later one. The machine restarts its count afterwards."""
     intake, far = Intake(0.005), 9_000_000_000_000_000_000
     begun = 0 if first else 50
     for seq in range(begun):
@@ -449,8 +449,8 @@ def test_one_sample_of_another_century_locks_nobody_out(first: bool) -> None:
     assert set(results[CONSISTENT:]) == {"new"}, results
 
 
-def test_a_machine_whose_clock_is_another_one_is_followed() -> None:
-    """An hour behind from the start on, and once more when it counts anew; and one that falls back by an hour then, after a minute."""
+def test_a_machine_with_another_clock_is_followed() -> None:
+    """The clock is an hour behind from the start, also after a restart of the count; or it falls back by an hour after a minute."""
     intake, now = Intake(0.005), BEGIN
     for series in range(2):
         for seq in range(200):
@@ -464,8 +464,8 @@ def test_a_machine_whose_clock_is_another_one_is_followed() -> None:
     assert results[-1] == "new" and results.count("refused") < FORGOTTEN / PERIOD_NS + 2 * CONSISTENT
 
 
-def test_replays_stay_out() -> None:
-    """Samples of this run and of an earlier one, sent again, while the machine goes on and after its clock was set back."""
+def test_replayed_samples_are_refused() -> None:
+    """Samples of this run and of an earlier run are sent again, while the machine continues and after its clock was set back."""
     intake, now = Intake(0.005), BEGIN
     old = [(seq, BEGIN - HOUR + PERIOD_NS * seq) for seq in range(2000)]
     for seq in range(3000):
@@ -478,8 +478,8 @@ def test_replays_stay_out() -> None:
             assert {admit(intake, s, t, now) for s, t in again} == {"refused"}, seq
 
 
-def test_what_the_pipeline_sends_is_taken_again_after_a_jump_back() -> None:
-    """Estimates of a machine that counts anew at an earlier time: the watch refused them for as long as the jump."""
+def test_estimates_are_accepted_after_a_jump_back() -> None:
+    """The machine restarts its count at an earlier time: the watch must accept the estimates at once."""
     newest, now = Newest(), BEGIN
     for seq in range(100):
         newest.admit(Message("est", "bench", now + HOUR, 1000 + seq, {}), now)
@@ -493,8 +493,8 @@ def test_what_the_pipeline_sends_is_taken_again_after_a_jump_back() -> None:
     assert refused <= 200
 
 
-def test_an_order_from_another_time_says_which_clock_is_wrong(config: Config, library: Library) -> None:
-    """An order of 2255 kept out every later one. It is refused now, in words, and the alarm names the order, for whoever gave it."""
+def test_a_command_from_another_time_names_the_wrong_clock(config: Config, library: Library) -> None:
+    """A command of 2255 is refused with a reason and does not block later ones; the alarm names the command for its sender."""
     orders = Orders()
     with pytest.raises(
         Refused, match=r"cmd is from a time that is 90.000 s ahead of the pipeline's own; up to 10 s are allowed"
@@ -522,10 +522,10 @@ def test_an_order_from_another_time_says_which_clock_is_wrong(config: Config, li
 
 
 @pytest.mark.parametrize("name", ["twin", "calibrate", "ensemble"])
-def test_a_folder_that_cannot_be_made_is_a_sentence(
+def test_a_folder_that_cannot_be_made_gives_one_sentence(
     name: str, tmp_path: Path, fmu: Path, scenes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """OUT is a file, or below one."""
+    """OUT is a file, or a path below a file."""
     file = tmp_path / "file"
     file.write_text("")
     more = {
@@ -539,7 +539,7 @@ def test_a_folder_that_cannot_be_made_is_a_sentence(
         assert len(sentence.strip().splitlines()) == 1 and str(out.parent) in sentence, sentence
 
 
-def test_an_error_of_the_system_is_a_sentence(
+def test_an_error_of_the_system_gives_one_sentence(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: object) -> int:
@@ -550,7 +550,7 @@ def test_an_error_of_the_system_is_a_sentence(
     assert capsys.readouterr().err == "fivebar replay: /some/where: No space left on device\n"
 
 
-def test_replay_of_little_has_an_exit_code_of_its_own(
+def test_a_replay_of_few_estimates_has_its_own_exit_code(
     config: Config, library: Library, fmu: Path, tmp_path: Path
 ) -> None:
     run_folder = recorded(config, library, 400).folder
@@ -566,13 +566,13 @@ def test_replay_of_little_has_an_exit_code_of_its_own(
     assert command("replay", run_folder, "--fmu", fmu).returncode == 0
 
 
-def test_logs_begin_anew_and_keep_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand refused messages a second were 8 GB a day."""
+def test_logs_rotate_and_keep_one_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand refused messages a second would be 8 GB a day."""
     monkeypatch.setattr(starter, "LARGEST_LOG", 20_000)
     log = tmp_path / "chatter.log"
     child = Child("chatter", [], log, print)
     largest = 0
-    # As the process has it: opened once, at its end.
+    # As in the process: opened once, appended.
     with open(log, "ab", opener=starter.private, buffering=0) as written:
         for i in range(100_000):
             written.write(f"refused: message {i:06d}\n".encode())
@@ -586,7 +586,7 @@ def test_logs_begin_anew_and_keep_one(tmp_path: Path, monkeypatch: pytest.Monkey
     assert os.name == "nt" or {stat.S_IMODE(file.stat().st_mode) for file in tmp_path.iterdir()} == {0o600}
 
 
-def test_troubles_are_shown_on_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_alarms_of_trouble_are_shown_on_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = Run(Config(str(tmp_path), "", ""), ())
     child = Child("record", [sys.executable, "-c", "print('nothing is recorded')"], tmp_path / "record.log", run.say)
     child.start()
@@ -600,12 +600,12 @@ def test_troubles_are_shown_on_the_terminal(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_forecasts_have_ten_points(tmp_path: Path) -> None:
-    """A horizon of fewer samples than a path has points would make messages that no reader takes."""
+    """A horizon with fewer samples than a path has points would give messages that no reader accepts."""
     with pytest.raises(TwinError, match="horizon is 0.02; 0.05 to 10 are allowed"):
         configuration.check(Config(str(tmp_path), "", "", horizon=0.02))
 
 
-# --- 9, 10: what is shown -------------------------------------------------------------------------------------------------------------
+# --- 9, 10: pictures ------------------------------------------------------------------------------------------------------------------
 
 
 def test_one_member_claims_no_interval(tmp_path: Path, fmu: Path) -> None:
@@ -618,7 +618,7 @@ def test_one_member_claims_no_interval(tmp_path: Path, fmu: Path) -> None:
 
 
 def story(first: float) -> tuple[figures.Story, figures.Judged]:
-    """A run of forecasts with half-widths of 9 to 10 mm, but for the first."""
+    """A run of forecasts; all half-widths but the first are 9 to 10 mm."""
     made = figures.Story()
     for i in range(400):
         time = 0.05 * i
@@ -632,7 +632,7 @@ def story(first: float) -> tuple[figures.Story, figures.Judged]:
 
 
 def test_nothing_lies_on_the_lines_of_a_picture() -> None:
-    """Legends lay on the path, and were struck through by a line."""
+    """Legends overlap neither the path nor a line."""
     made, judged = story(0.0095)
     for figure in (summary._tip(made), summary._error(made, judged), summary._forecast(made, judged)):
         figure.canvas.draw()
@@ -644,7 +644,7 @@ def test_nothing_lies_on_the_lines_of_a_picture() -> None:
 
 
 def test_legends_list_what_is_there() -> None:
-    """Of a recording no tracker sees the machine: legends listed its path and errors of forecasts all the same."""
+    """A recording has no tracker: legends must not list the machine's path and errors of forecasts."""
     made, judged = story(0.0095)
     made.measured = figures.Table(("time", *TRACKED))
     unseen = figures.Judged(*(np.full_like(each, np.nan) for each in (judged.error, judged.ahead_error, judged.inside)))
@@ -659,7 +659,7 @@ def test_legends_list_what_is_there() -> None:
 
 
 def test_a_first_half_width_does_not_squeeze_the_others() -> None:
-    """115 mm before the twin has settled, and 10 mm ever after: these fill the picture, and that one is told at its edge."""
+    """The first half-width is 115 mm, later ones 10 mm: the later ones fill the picture, the first is written at its edge."""
     made, judged = story(0.115)
     figure = summary._forecast(made, judged)
     axes = figure.axes[0]

@@ -1,4 +1,4 @@
-"""The twin's whole pipeline: the processes of `fivebar twin` with the broker that comes along."""
+"""The twin's whole pipeline: the processes of `fivebar twin` with the included broker."""
 
 import hashlib
 import json
@@ -35,13 +35,13 @@ COMMAND = [sys.executable, "-m", "fivebar"]
 
 
 def started(out: Path, fmu: Path, scenes: Path, *more: str) -> "subprocess.Popen[str]":
-    """A run of its own."""
+    """Starts a run in a folder of its own."""
     given = ["twin", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
     return subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, umask=0)
 
 
 def assert_private(folder: Path) -> None:
-    """Records, states, logs, configuration of a run are its owner's alone: 0600 in folders of 0700, whatever the umask."""
+    """Only the owner may read records, states, logs and configuration of a run: 0600 in folders of 0700, whatever the umask."""
     found = {path: stat.S_IMODE(path.stat().st_mode) for path in (folder, *folder.rglob("*"))}
     kept = {path.relative_to(folder).parts[0] for path in found if path != folder}
     assert {"record", "state", "log", "status", "twin.json"} <= kept
@@ -57,8 +57,8 @@ def assert_private(folder: Path) -> None:
     ]
 
 
-def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """Two starts find ports of their own; each leaves summary, pictures, page and a private record that is replayed to the bit."""
+def test_two_runs_side_by_side_end_with_all_promised_files(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """Two starts find different ports; each writes summary, pictures, page and a private record that is replayed to the bit."""
     runs = {name: started(tmp_path / name, fmu, scenes, "--seconds", "3", "--unit", name) for name in ("one", "two")}
     for name, run in runs.items():
         text = run.communicate(timeout=PATIENCE)[0]
@@ -66,11 +66,11 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
         out = tmp_path / name
         summary = json.loads((out / "summary.json").read_text())
         samples, forecasts = summary["samples"], summary["forecasts"]
-        # How many samples three seconds have, how soon estimates come, whether they fall behind, and how many of the forecasts that are due
-        # are made, is the machine's load: figures of the summary, not of this test. What is computed is the same however long it takes.
+        # The load decides how many samples three seconds have, how late estimates come and how many forecasts are made, so the test
+        # judges none of these. The results do not depend on the load.
         assert samples["published"] > 0 and samples["lost"] == 0 and samples["estimated"] == samples["published"], text
         assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
-        # Lengths that are 0.1 % off and encoders that are 1 mrad off leave 0.5 mm.
+        # Lengths off by 0.1 % and encoders off by 1 mrad leave 0.5 mm.
         assert summary["tip_error_mm"]["rms"] < 0.8
         assert forecasts["due"] == samples["estimated"] // 10 and 0 <= forecasts["count"] <= forecasts["due"] + 1
         assert summary["refused"] == 0 and not any(summary["restarts"].values()), text
@@ -98,8 +98,8 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
             )
 
 
-def test_clients_that_leave_while_messages_come_are_no_trouble_of_the_broker(tmp_path: Path) -> None:
-    """Thirty leave in the middle of messages that come as fast as the broker takes them: it goes on, and its log stays empty."""
+def test_the_broker_survives_clients_that_leave_while_messages_come(tmp_path: Path) -> None:
+    """Thirty clients leave while messages come as fast as the broker accepts them: the broker continues, and its log stays empty."""
     port = free_port()
     configuration.write(Config(str(tmp_path), "", "", broker=Broker(port=port)), tmp_path / "twin.json")
     command = [sys.executable, "-m", "fivebar.twin", "broker", "--config", str(tmp_path / "twin.json")]
@@ -140,9 +140,10 @@ def test_clients_that_leave_while_messages_come_are_no_trouble_of_the_broker(tmp
 def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(
     exact: bool, widest: float, error: float, tmp_path: Path, fmu: Path, scenes: Path
 ) -> None:
-    """Machine, twin, forecasts, watch and recorder, one after the other: what the pipeline computes, whatever else the cores do.
+    """Machine, twin, forecasts, watch and recorder run in turn: the pipeline's results without the influence of load.
 
-    Lengths that are 0.1 % off and encoders that are 1 mrad off leave the tip 0.5 mm off, which the twin knows of, and of eccentric encoders beside: it believes a median half-width of 2.04 mm (1.98 mm without eccentricity).
+    Lengths off by 0.1 % and encoders off by 1 mrad put the tip off by 0.5 mm. The twin allows for both, and for eccentric encoders: its
+    median half-width is 2.04 mm (1.98 mm without eccentricity).
     """
     library = Library(fmu)
     config = configured(tmp_path, fmu, library, scenes / "pick_and_place.json", exact=exact)
@@ -170,8 +171,8 @@ def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(
     assert summary["alarms"] == 0 and summary["tip_error_mm"]["max"] < error and summary["samples"]["estimated"] == 800
 
 
-def test_forecasts_that_are_not_as_good_as_promised_are_told(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """In `haptic` a hand pushes that nobody forecasts: less than nine of ten tips are inside, and the exit code says so."""
+def test_forecasts_worse_than_promised_change_the_exit_code(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """In `haptic` a hand pushes, which no forecast knows: fewer than nine of ten tips are inside, and the exit code is 3."""
     run = subprocess.run(
         [*COMMAND, "soak", "--hours", str(6 / 3600), "--scene", str(scenes / "haptic.json"), "--fmu", str(fmu)],
         capture_output=True, text=True, check=False,
@@ -196,7 +197,7 @@ def test_forecasts_that_are_not_as_good_as_promised_are_told(tmp_path: Path, fmu
         (["--unit", "a/b"], "letters, digits, - and _ are allowed"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_starts(
+def test_impossible_options_are_refused_before_any_process_starts(
     tmp_path: Path, fmu: Path, scenes: Path, more: list[str], sentence: str
 ) -> None:
     run = started(tmp_path / "out", fmu, scenes, *more)
@@ -217,7 +218,7 @@ def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_machine_of_ones_own_is_ten_lines(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """examples/publish_machine.py in the place of the stand-in; the starter is ended as by Ctrl-C."""
+    """examples/publish_machine.py replaces the stand-in; the starter is ended as by Ctrl-C."""
     run = started(tmp_path, fmu, scenes, "--machine", "none", "--seconds", "inf")
     try:
         found = re.match(r"broker at ([\d.]+):(\d+)", addresses(run))
@@ -236,26 +237,26 @@ def test_a_machine_of_ones_own_is_ten_lines(tmp_path: Path, fmu: Path, scenes: P
     assert samples == counts | {"refused": 0, "why_refused": ""}, text
 
 
-def test_a_recording_takes_the_place_of_any_machine(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """The table of a run, as it was written, is played to its end with its own period; with `--machine none` it was ignored."""
+def test_a_recording_replaces_any_machine(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """The table of a run is played to its end with its own period, also with `--machine none`."""
     file = simulate.run(scenes / "pick_and_place.json", fmu=fmu).to_csv(tmp_path / "run.csv")
     run = started(tmp_path / "out", fmu, scenes, "--machine", "none", "--csv", str(file), "--seconds", "inf")
     text = run.communicate(timeout=PATIENCE)[0]
     assert run.returncode == 0, text
     content = json.loads((tmp_path / "out" / "summary.json").read_text())
     samples, part = content["samples"], content["held_out"]
-    # Every communication point of 1.6 s, each ms.
+    # A communication point each ms for 1.6 s.
     assert samples["published"] == samples["estimated"] == samples["followed"] == 1601 and samples["lost"] == 0, text
     # A third of 1,600 ms is held out.
     assert part["samples"] == part["innovations"]["count"] == 534 and part["innovations"]["coverage95"] > 0.9, text
-    # The held-out part ends before a forecast of 0.5 s; on a busy machine no forecast of 0.1 s begins in it either.
+    # The held-out part is shorter than a forecast of 0.5 s; on a busy machine no forecast of 0.1 s begins in it either.
     assert "not judged: forecasts" in text
 
 
 def test_samples_of_any_machine_are_counted(
     tmp_path: Path, fmu: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without the stand-in nobody says what was published: "0 samples, 400 estimates" was told of publish_machine.py."""
+    """The summary counts the samples of publish_machine.py, not only those of the stand-in."""
     library = Library(fmu)
     done = recorded(configured(tmp_path, fmu, library, "pick_and_place"), library, 40)
     library.close()

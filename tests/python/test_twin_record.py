@@ -1,4 +1,4 @@
-"""Records of the twin's pipeline: parts that survive, order, gaps, limits; the watch's states; brokers beyond this machine."""
+"""Records of the twin's pipeline: surviving parts, order, gaps, limits; states of the watch; remote brokers."""
 
 import csv
 import json
@@ -50,18 +50,18 @@ def test_a_record_has_the_promised_columns(tmp_path: Path) -> None:
     ]
 
 
-def test_a_joined_part_takes_the_place_of_others_whether_or_not_they_are_gone(tmp_path: Path) -> None:
+def test_a_joined_part_replaces_others_even_if_they_still_exist(tmp_path: Path) -> None:
     for number in range(4):
         record.write_part(tmp_path, number, number, rows(number))
     record.write_part(tmp_path, 0, 2, rows(0, 1, 2))
-    # A file that a kill left half written is no part.
+    # A half-written file after a kill is not a part.
     (tmp_path / "part-00000004-00000004.writing").write_bytes(b"PAR1 half")
     assert seqs(tmp_path) == [0, 1, 2, 3]
     (tmp_path / "part-00000001-00000001.parquet").unlink()
     assert seqs(tmp_path) == [0, 1, 2, 3]
 
 
-def test_a_recorder_that_is_started_again_goes_on(tmp_path: Path) -> None:
+def test_a_restarted_recorder_continues(tmp_path: Path) -> None:
     def recorder() -> Recorder:
         made = Recorder(Config(str(tmp_path), "", ""))
         made.begin()
@@ -71,7 +71,7 @@ def test_a_recorder_that_is_started_again_goes_on(tmp_path: Path) -> None:
     for number in range(JOINED + 2):
         first.received(TOPIC, encode(sample(number)), 0)
         first.end()
-    # Killed: nothing of it is called any more.
+    # Killed: none of its functions is called any more.
     second = recorder()
     second.received(TOPIC, encode(sample(100)), 10**9)
     second.tick(10**9)
@@ -80,7 +80,7 @@ def test_a_recorder_that_is_started_again_goes_on(tmp_path: Path) -> None:
     assert len(record.parts(tmp_path / "record")) == 4
 
 
-def test_a_recorder_says_what_is_missing(tmp_path: Path) -> None:
+def test_a_recorder_reports_missing_samples(tmp_path: Path) -> None:
     recorder = Recorder(Config(str(tmp_path), "", ""))
     recorder.begin()
     for number in (0, 1, 5, 3, 6):
@@ -95,14 +95,14 @@ def test_a_recorder_says_what_is_missing(tmp_path: Path) -> None:
     assert gaps == [("meas", 2, 2), ("meas", 4, 4)]
 
 
-def test_a_machine_that_counts_anew_leaves_no_gap() -> None:
+def test_a_machine_that_restarts_its_count_leaves_no_gap() -> None:
     gaps = Gaps("meas")
     for seq in (*range(5000, 5010), *range(10)):
         gaps.see(seq, 0.0)
     assert gaps.due(10.0) == []
 
 
-def test_what_is_no_record_is_refused_with_a_sentence(tmp_path: Path) -> None:
+def test_other_files_than_records_are_refused_with_one_sentence(tmp_path: Path) -> None:
     text = tmp_path / "x.parquet"
     text.write_text("PAR1")
     other = tmp_path / "y.parquet"
@@ -121,7 +121,7 @@ def test_what_is_no_record_is_refused_with_a_sentence(tmp_path: Path) -> None:
 
 
 def states(anomalies: Anomalies, alarm: list[tuple[float, float]], until: float) -> list[tuple[float, str]]:
-    """Messages of a watch while the unit's alarm is on in those intervals, at 200 Hz."""
+    """Messages of a watch at 200 Hz; the unit's alarm is on in the given intervals."""
     said = []
     for i in range(round(until / 0.005)):
         now = 0.005 * i
@@ -134,12 +134,12 @@ def states(anomalies: Anomalies, alarm: list[tuple[float, float]], until: float)
 def test_the_watch_goes_through_its_states() -> None:
     said = states(Anomalies(), [(5.0, 6.0)], 20.0)
     assert [state for _, state in said] == ["anomaly", "calibrating", "cooling down", "listening"]
-    # 40 ms until it counts, 0.5 s until it counts as gone, 2 s of gathering, 5 s of cooling down.
+    # The alarm counts after 40 ms and as gone after 0.5 s; 2 s of calibrating and 5 s of cooling down follow.
     assert [time for time, _ in said] == pytest.approx([5.04, 6.5, 8.5, 13.5], abs=0.011)
 
 
-def test_the_watch_tells_the_cause_that_the_twin_names() -> None:
-    """At once and, surer, at the end of the anomaly; the next anomaly has a name of its own."""
+def test_the_watch_reports_the_cause_that_the_twin_names() -> None:
+    """At the beginning and, with more certainty, at the end of the anomaly; the next anomaly does not inherit it."""
     anomalies, said = Anomalies(), []
     for i in range(6000):
         now = 0.005 * i
@@ -178,7 +178,7 @@ def faults(
     cause: Callable[[float], float],
     alarm: Callable[[float], bool] = lambda _: False,
 ) -> list[tuple[Any, ...]]:
-    """Messages of a watch at 200 Hz while the unit names that cause, with the alarm of forces off unless it is on."""
+    """Messages of a watch at 200 Hz; `cause` and `alarm` give the unit's cause and its alarm of forces at a time."""
     said = []
     for i in range(round((until - begin) / 0.005)):
         now = begin + 0.005 * i
@@ -194,7 +194,7 @@ def faults(
 
 @pytest.mark.parametrize("number", [4, 5, 7])
 def test_the_watch_raises_an_alarm_for_encoders_and_clocks(number: int) -> None:
-    """A frozen encoder raised none: no force acts. One that stays dead is told once; gone and back, again."""
+    """A frozen encoder raises an alarm although no force acts: once while it stays frozen, again if it fails again."""
     anomalies = Anomalies()
     said = faults(anomalies, 0.0, 60.0, lambda now: number if now >= 5 else 0)
     assert [each[1:] for each in said] == [("anomaly", "fault", CAUSES[number])] and said[0][0] == pytest.approx(
@@ -205,18 +205,18 @@ def test_the_watch_raises_an_alarm_for_encoders_and_clocks(number: int) -> None:
     assert [time for time, *_ in said] == pytest.approx([60.5, 62.5, 67.5, 80.04], abs=0.011)
 
 
-def test_a_dead_encoder_that_is_acknowledged_is_not_told_again() -> None:
+def test_an_acknowledged_dead_encoder_is_not_reported_again() -> None:
     anomalies = Anomalies()
     faults(anomalies, 0.0, 10.0, lambda now: 4 if now >= 5 else 0)
     assert [each["state"] for each in anomalies.acknowledge(10.0)] == ["cooling down"]
-    # A loose contact, which comes and goes, is one fault until it has stayed away for 5 s.
+    # An intermittent contact is one fault until it has been good for 5 s.
     assert faults(anomalies, 10.0, 30.0, lambda now: 4) == []
     said = faults(anomalies, 30.0, 60.0, lambda now: 4 if now % 4 < 2 else 0)
     assert [state for _, state, _, _ in said if state == "anomaly"] == []
 
 
-def test_an_anomaly_has_the_cause_of_its_end_or_of_its_begin_where_it_is_cut_off() -> None:
-    """A trouble between is no end; an operator, another anomaly, or the end of the run cuts it off."""
+def test_an_anomaly_has_the_cause_of_its_end_or_if_cut_off_of_its_beginning() -> None:
+    """A message of trouble does not end an anomaly; an operator, another anomaly or the end of the run cuts it off."""
     ended = [
         (1.0, "anomaly", "force"),
         (1.1, "trouble", "trouble"),
@@ -233,8 +233,8 @@ def test_an_anomaly_has_the_cause_of_its_end_or_of_its_begin_where_it_is_cut_off
     assert figures.causes(ended + cut_off) == ["torque at motor 1", "encoder 1", "force", "timing"]
 
 
-def test_another_fault_is_told_whatever_else_is_wrong() -> None:
-    """An encoder that fails while a hand pushes, while the watch cools down, or while the other one is dead; and silence then."""
+def test_another_fault_is_reported_during_other_faults() -> None:
+    """An encoder fails while a hand pushes, while the watch cools down, or while the other encoder is dead; then all is silent."""
     anomalies = Anomalies()
     said = faults(
         anomalies, 0.0, 20.0, lambda now: 4 if 7 <= now < 12 else 5 if now >= 12 else 3, alarm=lambda now: 5 <= now < 6
@@ -247,7 +247,7 @@ def test_another_fault_is_told_whatever_else_is_wrong() -> None:
 
 
 def test_faults_at_the_start_count_once_the_state_is_found() -> None:
-    """Those that have gone by then never count, nor does what a twin that starts anew takes for one while it finds its state."""
+    """Faults that end before are not reported, nor are apparent faults while a restarted twin finds its state."""
     assert faults(Anomalies(), 0.0, 5.0, lambda now: 4 if now < 1.9 else 0) == []
     assert [time for time, *_ in faults(Anomalies(), 0.0, 60.0, lambda _: 4)] == pytest.approx([2.0], abs=0.011)
     anomalies = Anomalies()
@@ -258,7 +258,7 @@ def test_faults_at_the_start_count_once_the_state_is_found() -> None:
     ]
 
 
-def test_the_watch_notices_silence_once_and_can_be_calmed() -> None:
+def test_the_watch_reports_silence_once_and_can_be_acknowledged() -> None:
     anomalies = Anomalies()
     states(anomalies, [], 4.0)
     assert anomalies.quiet(4.3) == []
@@ -310,7 +310,7 @@ def test_a_csv_is_played(tmp_path: Path) -> None:
 def test_a_recording_that_no_twin_can_follow_is_refused(
     tmp_path: Path, change: Callable[[list[list[float]]], list[list[float]]], sentence: str
 ) -> None:
-    """Each of these was played to its end with the exit code 0."""
+    """Each of these would be played to its end without an estimate."""
     rows = [
         [
             0.005 * k,
@@ -336,8 +336,8 @@ def test_a_recording_that_no_twin_can_follow_is_refused(
         check(change(rows))
 
 
-def test_a_run_that_hardly_followed_says_so() -> None:
-    """An estimate a radian off its sample was counted as any other."""
+def test_a_run_that_hardly_followed_reports_it() -> None:
+    """An estimate a radian away from its sample does not count as following."""
     samples = {"published": 321, "lost": 0, "recorded": 321, "refused": 0, "estimated": 321}
     assert figures.unfollowed({"samples": samples | {"followed": 300}}) == ""
     assert figures.unfollowed({"samples": samples | {"followed": 9}}).startswith("not followed: 9 of 321 samples")
@@ -348,7 +348,7 @@ def test_a_run_that_hardly_followed_says_so() -> None:
 
 
 def test_a_broker_that_is_not_there_is_named_at_once() -> None:
-    """All processes waited for it for 20 s, and their logs were shown."""
+    """The start does not wait 20 s in every process."""
     port = free_port()
     with pytest.raises(TwinError, match=f"there is no broker at 127.0.0.1:{port}: Connection refused"):
         check_broker(Broker("127.0.0.1", port, False))
@@ -360,7 +360,7 @@ def test_faults_come_as_often_as_asked_and_none_by_default() -> None:
         return [mangler.send(sample(i)) for i in range(4000)]
 
     assert sent(Faults()) == [[encode(sample(i))] for i in range(4000)]
-    # Of 4000 draws of 5 %, 200 on average with a standard deviation of 14.
+    # 4,000 draws of 5 %: 200 on average, standard deviation 14.
     assert 140 < sum(not each for each in sent(Faults(lost=0.05))) < 260
     assert 140 < sum(len(each) == 2 for each in sent(Faults(doubled=0.05))) < 260
     arrived = [decode(TOPIC, payload).seq for each in sent(Faults(late=0.05)) for payload in each]
@@ -406,7 +406,7 @@ def test_a_configuration_comes_back_and_is_private(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1"])
-def test_loopback_needs_nothing(host: str) -> None:
+def test_loopback_needs_no_password(host: str) -> None:
     configuration.check_broker(Broker(host))
 
 
@@ -426,7 +426,7 @@ def test_ports_are_free() -> None:
         assert free_port() != port
 
 
-def test_without_a_broker_nothing_is_sent_and_nothing_crashes() -> None:
+def test_sending_without_a_broker_does_not_crash() -> None:
     bus = Bus(Broker(port=free_port()), "bench", "test", ("meas",), lambda *_: None)
     bus.start()
     assert not bus.publish("meas", b"{}") and bus.unsent == 1 and not bus.ready()

@@ -1,4 +1,4 @@
-"""Recordings: one reader for calibration and twin, clocks that restart, units, and how a recording is played."""
+"""Recordings: one reader for calibration and twin, clocks that restart, units, playback."""
 
 import math
 from pathlib import Path
@@ -24,7 +24,7 @@ from twin_support import follower
 
 
 def table(folder: Path, times: np.ndarray, head: str = "time,measured.theta[1],measured.theta[2]") -> Path:
-    """Angles that are their row's number in mrad."""
+    """A table whose angles are the number of the row, mrad."""
     file = folder / "a.csv"
     rows = [f"{round(t, 6)!r},{1e-3 * k!r},{1 + 1e-3 * k!r}" for k, t in enumerate(times.tolist())]
     file.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
@@ -40,7 +40,7 @@ GRID = 0.005 * np.arange(200)
 
 @pytest.mark.parametrize(("begin", "other"), [(0.0, 0.0), (0.0, 0.0012), (100.0, 7.0), (3.0, 3.5)])
 def test_a_clock_that_restarts_makes_series(tmp_path: Path, begin: float, other: float) -> None:
-    """In the order of the rows, none left out; they were sorted into each other, and half of rows with equal times was dropped."""
+    """Rows stay in order and none is left out: series are not merged by time, and rows with equal times are kept."""
     file = table(tmp_path, np.concatenate([begin + GRID, other + GRID]))
     found = data.read(file, 0.0, 10.0)
     assert [len(series) for series in found.series] == [200, 200]
@@ -78,7 +78,7 @@ def test_rows_without_a_time_of_their_own_are_left_out(tmp_path: Path) -> None:
     ],
 )
 def test_a_head_that_does_not_fit_is_refused(tmp_path: Path, head: str, sentence: str) -> None:
-    """By both commands alike."""
+    """Both commands refuse it with the same sentence."""
     file = table(tmp_path, GRID, head)
     for reads in (player, lambda file: data.read(file, 0.0, 10.0)):
         with pytest.raises(TwinError) as refused:
@@ -110,7 +110,7 @@ def test_units_may_stand_in_the_head(tmp_path: Path) -> None:
 
 
 def test_series_are_played_with_a_pause_and_lost_samples_are_counted(tmp_path: Path) -> None:
-    """A machine counts what is lost, too; after the pause the twin starts anew."""
+    """A machine also counts lost samples; after the pause the twin restarts."""
     times = np.concatenate([GRID[:30], GRID[130:160], GRID[:30]])
     played = player(table(tmp_path, times))
     samples = [played.next() for _ in range(90)]
@@ -123,7 +123,7 @@ def test_series_are_played_with_a_pause_and_lost_samples_are_counted(tmp_path: P
 
 
 def test_a_row_without_an_angle_is_a_lost_sample(tmp_path: Path) -> None:
-    """Sent, it would be no message: the twin refused it. What a drive was told in it stays."""
+    """It is not sent, because the message would be invalid. The row's commands take effect."""
     file = tmp_path / "a.csv"
     file.write_text("time,theta[1],theta[2],tau[1],tau[2]\n0,1,2,,\n0.005,,nan,1,\n0.01,1,,,\n", encoding="utf-8")
     played = player(file)
@@ -135,15 +135,15 @@ def test_a_row_without_an_angle_is_a_lost_sample(tmp_path: Path) -> None:
 
 
 def test_the_twin_has_the_period_of_the_recording(tmp_path: Path) -> None:
-    """It was 5 ms, whatever was played: samples of 1 ms were counted as being 5 ms apart."""
+    """Samples of 1 ms are not counted as 5 ms apart."""
     assert sampling(table(tmp_path, 0.2 * GRID)) == 0.001
     assert sampling(table(tmp_path, np.concatenate([20 * GRID, 20 * GRID]))) == 0.1
     with pytest.raises(TwinError, match=r"has a sample every 5e-05 s \(median\); 0.0001 s or more is expected"):
         sampling(table(tmp_path, 0.01 * GRID))
 
 
-def test_what_a_run_writes_is_a_recording(tmp_path: Path, fmu: Path) -> None:
-    """Without a change of its head, which had units in it."""
+def test_the_table_of_a_run_is_a_recording(tmp_path: Path, fmu: Path) -> None:
+    """The head, with units, needs no change."""
     result = simulate.run("pick_and_place", fmu=fmu)
     file = result.to_csv(tmp_path / "run.csv")
     found = data.read(file, 0.0, 10.0)
@@ -156,7 +156,7 @@ def test_what_a_run_writes_is_a_recording(tmp_path: Path, fmu: Path) -> None:
 
 
 def test_each_series_begins_in_a_turn_of_its_own(tmp_path: Path, fmu: Path) -> None:
-    """In a calibration and in the twin: the encoders' counts restart with the clock, the servos' commands do not."""
+    """In calibration and twin alike: the encoders' counts restart with the clock, the servos' commands do not."""
     result = simulate.run("pick_and_place", fmu=fmu)
     columns = {
         name: np.tile(result[name][:100], 2)
@@ -170,7 +170,7 @@ def test_each_series_begins_in_a_turn_of_its_own(tmp_path: Path, fmu: Path) -> N
     config = configured(tmp_path / "run", fmu, library, "pick_and_place")
     twin = follower(config, library)
     first, second = data.turned(data.read(file, 0.0, 10.0), library, twin.setup.values).series
-    # A turn that is added and taken away leaves round-off.
+    # Adding and subtracting a turn leaves round-off.
     assert first.angles == pytest.approx(second.angles, abs=1e-14)
     assert first.angles[:, 0] == pytest.approx(result["theta[1]"][:100], abs=1e-14)
     played, turns = player(file, config.period), []
@@ -186,7 +186,7 @@ def test_each_series_begins_in_a_turn_of_its_own(tmp_path: Path, fmu: Path) -> N
 
 
 def test_a_unit_of_ones_own_has_its_effects_enabled(tmp_path: Path, fmu: Path) -> None:
-    """A calibration without a scene takes its start values: its springs decide the turn, not the start."""
+    """A calibration without a scene takes the unit's start values: its springs decide the turn, not the start."""
     values = {"spring.enabled": True} | {
         f"spring.{name}[{i}]": x for i in (1, 2) for name, x in (("k", 0.5), ("theta0", 8.0))
     }

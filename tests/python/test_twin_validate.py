@@ -1,4 +1,4 @@
-"""`fivebar validate`: predictions of a held-out part beside simple predictors, counted bands, promises and exit codes."""
+"""`fivebar validate`: predictions of the held-out part against simple predictors, coverage of bands, promises, exit codes."""
 
 import json
 import math
@@ -29,7 +29,7 @@ Judge = Callable[[Columns, object], tuple[int, dict]]
 
 @pytest.fixture(scope="module")
 def swing(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Columns:
-    """4.5 s of the stand-in: masses up to 5 % off, lengths 0.1 % and encoders 1 mrad, with friction that the twin does not know."""
+    """4.5 s of the stand-in: masses off by up to 5 %, lengths by 0.1 %, encoders by 1 mrad; the twin's model has no friction."""
     library = Library(fmu)
     source = machine(configured(tmp_path_factory.mktemp("machine"), fmu, library, "swing"), library)
     samples = [source.next() for _ in range(900)]
@@ -53,14 +53,14 @@ def judge(fmu: Path, tmp_path: Path) -> Judge:
     return run
 
 
-def test_a_machine_that_is_the_scenes_is_predicted(
+def test_the_scene_s_own_machine_is_predicted(
     swing: Columns, judge: Judge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, content = judge(swing, "swing")
     part = content["held_out"]
     assert code == 0 and content["missed"] == [] and content["alarms"] == 0
     assert (part["series"], part["samples"], content["samples"]["estimated"]) == (1, 300, 900)
-    # Without servos nothing leads the machine.
+    # Without servos there are no commands to compare with.
     assert part["command_delay_s"] is None and part["not_judged"] == [
         "the last command as a predictor: the record has no servo.theta[1] and servo.theta[2]",
         "the drives: the record has no commands, so that all drive torques are unknown forces for the twin",
@@ -78,10 +78,10 @@ def test_a_machine_that_is_the_scenes_is_predicted(
     assert page.count("<svg") == 2 and "<h1>swing: the twin judged by a recording</h1>" in page and "{{" not in page
 
 
-def test_lengths_that_are_a_tenth_off_are_seen_by_the_tip(
+def test_the_tip_shows_lengths_off_by_a_tenth(
     swing: Columns, judge: Judge, scenes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Motor angles alone hardly show them: forces that nobody knows make up for the motion."""
+    """Motor angles alone hardly show wrong lengths: estimated forces compensate for them."""
     longer = json.loads((scenes / "swing.json").read_text(encoding="utf-8"))
     longer |= {f"link[{i}].length": 0.231 for i in (1, 2, 3, 4)}
     code, content = judge(swing, longer)
@@ -95,7 +95,7 @@ def test_lengths_that_are_a_tenth_off_are_seen_by_the_tip(
 
 
 def test_series_are_judged_one_by_one(swing: Columns, judge: Judge) -> None:
-    """The last third of each; the twin begins anew with the second one."""
+    """The last third of each series is judged; the twin restarts with the second one."""
     columns = {name: np.concatenate([column[:420], column[480:]]) for name, column in swing.items()}
     columns["time"][420:] -= columns["time"][420]
     code, content = judge(columns, "swing")
@@ -103,7 +103,7 @@ def test_series_are_judged_one_by_one(swing: Columns, judge: Judge) -> None:
     assert content["held_out"]["seconds"] == pytest.approx(2 * 419 * 0.005 / 3, rel=1e-5)
 
 
-def test_a_record_that_is_too_short_says_what_is_not_judged(swing: Columns, judge: Judge) -> None:
+def test_a_short_record_names_what_is_not_judged(swing: Columns, judge: Judge) -> None:
     code, content = judge({name: column[:240] for name, column in swing.items()}, "swing")
     assert code == 0
     assert (
@@ -111,7 +111,7 @@ def test_a_record_that_is_too_short_says_what_is_not_judged(swing: Columns, judg
     )
 
 
-def test_what_cannot_be_followed_is_refused(
+def test_a_record_that_cannot_be_followed_is_refused(
     swing: Columns, fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "record.csv"
@@ -124,7 +124,7 @@ def test_what_cannot_be_followed_is_refused(
 
 
 def test_the_encoders_of_a_scene_are_those_of_machine_and_twin(fmu: Path, scenes: Path, tmp_path: Path) -> None:
-    """They were those of the stand-in, whatever the scene said: a real encoder's steps were taken for 16 bits."""
+    """If the scene names its encoders, the stand-in's default of 16 bits does not replace them."""
     coarse = 0.01
     content = json.loads((scenes / "swing.json").read_text(encoding="utf-8")) | {"estimator.quantum[2]": coarse}
     (tmp_path / "coarse.json").write_text(json.dumps(content), encoding="utf-8")
@@ -145,7 +145,7 @@ PERIOD, SIGMA, OFF = 0.005, 1e-3, 0.2
 
 
 def made(angle: Callable[[np.ndarray], np.ndarray], commands: bool = False) -> figures.Story:
-    """A story of 12 s whose forecasts err as their bands say; commands lead the angles by `OFF` s."""
+    """A record of 12 s whose forecasts have errors as large as their bands say; commands lead the angles by `OFF` s."""
     chance, story = np.random.default_rng(1), figures.Story()
     time = PERIOD * np.arange(2400)
     for t in time.tolist():
@@ -186,8 +186,8 @@ def test_bands_are_judged_by_counting(tmp_path: Path, fmu: Path) -> None:
     assert found.missed() == [] or all("rms" in sentence for sentence in found.missed())
 
 
-def test_other_predictors_are_what_they_say(tmp_path: Path, fmu: Path) -> None:
-    """On a ramp of 0.3 rad/s, through whole turns, a constant velocity is exact and the last angle is behind; a ramp has no delay that would be known."""
+def test_other_predictors_match_their_definitions(tmp_path: Path, fmu: Path) -> None:
+    """On a ramp of 0.3 rad/s, through whole turns, `constant velocity` is exact and `hold` lags; a ramp determines no delay."""
     found = judged(made(lambda t: 0.3 * t), tmp_path, fmu)
     for each in found.forecasts:
         known = np.isfinite(each.errors.error[:, 0])
@@ -202,8 +202,8 @@ def test_other_predictors_are_what_they_say(tmp_path: Path, fmu: Path) -> None:
     )
 
 
-def test_an_encoder_that_rests_is_told(tmp_path: Path, fmu: Path) -> None:
-    """All errors of a machine at rest are 0, and nothing is known of its twin."""
+def test_an_encoder_at_rest_is_not_judged(tmp_path: Path, fmu: Path) -> None:
+    """At rest all errors are 0, which shows nothing about the twin."""
     resting, moving = (
         judged(made(angle), tmp_path, fmu).not_judged for angle in (lambda t: 0.0 * t, lambda t: 0.3 * t)
     )
@@ -212,7 +212,7 @@ def test_an_encoder_that_rests_is_told(tmp_path: Path, fmu: Path) -> None:
 
 
 def test_the_delay_of_commands_is_found_and_used(tmp_path: Path, fmu: Path) -> None:
-    """Commands of the next 0.2 s are known: 0.1 s ahead they tell the angle, up to the line between two samples, and 0.5 s ahead they do not."""
+    """Commands lead by 0.2 s: they predict the angle 0.1 s ahead, up to linear interpolation, but not 0.5 s ahead."""
     found = judged(made(lambda t: np.sin(3 * t), commands=True), tmp_path, fmu)
     assert found.delay == pytest.approx(OFF, abs=1e-9)
     near, far = (np.nanmax(np.abs(each.others["last command"])) for each in found.forecasts)
@@ -220,7 +220,7 @@ def test_the_delay_of_commands_is_found_and_used(tmp_path: Path, fmu: Path) -> N
 
 
 def test_readings_may_jump_by_whole_turns(tmp_path: Path, fmu: Path) -> None:
-    """An absolute encoder shows 0 to 2π: the same figures as of one that counts on."""
+    """An absolute encoder, which shows 0 to 2π, gives the same figures as a counting one."""
     counting = made(lambda t: 1.5 * t)
     wrapped = made(lambda t: 1.5 * t)
     for name in ("measured.theta[1]", "measured.theta[2]"):
@@ -237,7 +237,7 @@ def test_readings_may_jump_by_whole_turns(tmp_path: Path, fmu: Path) -> None:
 
 @pytest.fixture
 def recordings() -> Path:
-    """The folder of recordings that FIVEBAR_RECORDINGS names: they are other people's, and not in the repository."""
+    """The folder FIVEBAR_RECORDINGS: others own these recordings, so the repository does not contain them."""
     folder = os.environ.get("FIVEBAR_RECORDINGS")
     if not folder:
         pytest.skip("FIVEBAR_RECORDINGS names no folder of recordings of real machines")
@@ -245,8 +245,8 @@ def recordings() -> Path:
 
 
 def joint_state(message: bytes) -> tuple[float, dict[str, float]]:
-    """Stamp, s, and positions by the joint's name of a message sensor_msgs/JointState, little-endian CDR."""
-    # Offsets are aligned from behind the four bytes of the encapsulation.
+    """Reads a message sensor_msgs/JointState (little-endian CDR): stamp, s, and positions by joint name."""
+    # Alignment counts from the end of the four-byte encapsulation header.
     data, at = message[4:], 8
 
     def count() -> int:
@@ -268,7 +268,7 @@ def joint_state(message: bytes) -> tuple[float, dict[str, float]]:
 
 
 def joint_states(bag: Path) -> list[tuple[float, dict[str, float]]]:
-    """Those in a bag of ROS 2."""
+    """All JointState messages in a bag of ROS 2."""
     connection = sqlite3.connect(f"file:{bag}?mode=ro&immutable=1", uri=True)
     query = (
         "select data from messages join topics on topic_id = topics.id where name = '/joint_states' order by timestamp"
@@ -279,9 +279,9 @@ def joint_states(bag: Path) -> list[tuple[float, dict[str, float]]]:
 
 
 def test_a_haptic_pantograph(recordings: Path, judge: Judge) -> None:
-    """Moved in jerks by a hand and drives that nobody recorded, its masses and friction guessed: followed, and no twin to forecast with, as is said."""
+    """A hand and unrecorded drives jerk it; masses and friction are guesses: the twin follows it, and reports that its forecasts are poor."""
     (bag,) = (recordings / "haptic_pantograph").glob("*.db3")
-    # It rests before and after.
+    # The machine rests before and after.
     states = joint_states(bag)[2400:5000]
     columns = {"time": np.array([stamp - states[0][0] for stamp, _ in states])}
     columns |= {
@@ -296,7 +296,7 @@ def test_a_haptic_pantograph(recordings: Path, judge: Judge) -> None:
     machine |= {"gravity.enabled": False, "init.assembly": "plus"}
     machine |= {f"init.theta[{i}]": float(columns[f"measured.theta[{i}]"][0]) for i in (1, 2)}
     for i, length in enumerate((0.1, 0.165, 0.165, 0.1), 1):
-        # An assumed weight: 0.1 kg/m.
+        # Assumed mass: 0.1 kg/m.
         mass = 0.1 * length
         machine |= {f"link[{i}].length": length, f"link[{i}].com": length / 2}
         machine |= {f"link[{i}].mass": mass, f"link[{i}].inertia": mass * length**2 / 12}
@@ -309,8 +309,8 @@ def test_a_haptic_pantograph(recordings: Path, judge: Judge) -> None:
 
 
 def test_a_serial_arm(recordings: Path, fmu: Path, tmp_path: Path) -> None:
-    """Four runs by both motors, torques known: 0.1 s ahead the twin is three times as good as a constant velocity. Its friction is not the model's:
-    the bands are too narrow, and the exit code says so."""
+    """Four runs by both motors, torques known: 0.1 s ahead the twin is three times as good as a constant velocity. The model lacks its friction:
+    the bands are too narrow, and the exit code is 1."""
     command = [sys.executable, str(REPOSITORY / "examples" / "serial_arm.py")]
     subprocess.run([*command, str(recordings / "dfki_double_pendulum"), str(tmp_path)], check=True)
     words = ["validate", str(tmp_path / "record.csv"), "--scene", str(tmp_path / "scene.json"), "--fmu", str(fmu)]

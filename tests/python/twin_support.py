@@ -1,4 +1,4 @@
-"""Helpers of the tests of the twin's pipeline."""
+"""Helpers for the tests of the twin's pipeline."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,14 +16,14 @@ from fivebar.twin.watch import Watch
 
 
 def follower(config: Config, library: Library) -> Follower:
-    """A twin without its process."""
+    """A twin without a process of its own."""
     return Follower(library, setup.of_run(config, scene.read(Path(config.scene)), library.guid))
 
 
 def recorded(
     config: Config, library: Library, samples: int, mangle: Callable[[Message], list[bytes]] = lambda m: [encode(m)]
 ) -> SimpleNamespace:
-    """Machine, twin, watch and recorder for so many samples; what they were, ended."""
+    """Runs machine, twin, watch and recorder for `samples` samples and ends them."""
     twin, watch, recorder = Twin(config, library), Watch(config), Recorder(config)
     recorder.about = twin.setup.to_message(config.unit, BEGIN)
     wire = Wire(config, twin, watch, recorder)
