@@ -54,7 +54,7 @@ TABLE = {
     "servo.kd[1]": 0.5,
     "servo.kd[2]": 0.5,
 }
-"""A robot on a table, by servos."""
+"""A robot on a table, moved by servos."""
 
 UNEVEN = {
     "base.distance": 0.25,

@@ -1,4 +1,4 @@
-"""Wheels of the package `fivebar`, for the tests of them."""
+"""Builds wheels of the package `fivebar` for tests."""
 
 import os
 import subprocess

@@ -12,7 +12,7 @@ from fivebar import FiveBarError, Machine, Result, Scene, Unit
 
 FALL = "fall_90_120"
 TOO_LARGE = 10**400
-"""An int that no float is as large as."""
+"""An int larger than any float."""
 
 
 @pytest.fixture(autouse=True)

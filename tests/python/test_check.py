@@ -26,7 +26,7 @@ from fivebar.twin.starter import free_port
 GRID = 0.005 * np.arange(400)
 MOTION = np.column_stack([2.2 + 0.3 * np.sin(3 * GRID), 0.9 - 0.25 * np.sin(5 * GRID)])
 STEP = 2 * np.pi / 2**16
-"""Of the encoders that a twin assumes."""
+"""Step of the encoders that a twin assumes by default, rad."""
 
 SCENE: dict[str, Any] = {
     "description": "A machine of unequal legs.",
@@ -327,7 +327,7 @@ def test_it_listens_to_a_broker(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["none.csv"], "none.csv: it cannot be read: No such file"),
     ],
 )  # fmt: skip
-def test_what_is_refused_is_one_sentence(words: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refusals_are_one_sentence(words: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "machine.json", *words]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"fivebar check: {sentence}") and error.count("\n") == 1

@@ -178,8 +178,8 @@ def test_two_units_of_different_names_in_one_libcosim_system(
     for instance in pair:
         instance.enter()
     for step in range(steps + 1):
-        told = [{sink: instance.get(source) for source, sink in wires} for instance in pair]
-        for instance, values in zip(pair, told[::-1], strict=True):
+        passed = [{sink: instance.get(source) for source, sink in wires} for instance in pair]
+        for instance, values in zip(pair, passed[::-1], strict=True):
             instance.set(values)
             if step == 0:
                 instance.slave.exitInitializationMode()

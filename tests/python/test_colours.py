@@ -1,4 +1,4 @@
-"""One colour for each part of the mechanism and each kind of singularity, in every picture and page; no legend on a curve; no figure too many."""
+"""Each part of the mechanism and each kind of singularity has one colour in all pictures and pages; legends cover no curve; figures are closed."""
 
 import re
 from pathlib import Path
@@ -34,13 +34,13 @@ def contrast(one: str, other: str) -> float:
 
 @pytest.mark.parametrize("paper", ["#ffffff", *DARK.values()])
 def test_colours_are_seen_on_white_and_on_dark_pages(paper: str) -> None:
-    """3:1 is what WCAG 2 asks of graphics."""
+    """WCAG 2 requires a contrast of 3:1 for graphics."""
     for name, colour in COLOURS.items():
         assert contrast(colour, paper) >= 3, (name, colour)
 
 
 def test_only_one_file_defines_the_colours() -> None:
-    """The live page, a file of its own, has the same; no other page and no module has one of its own."""
+    """The live page repeats these colours, because it is a separate file; other pages and modules define none."""
     assert set(COLOURS) == set(PARTS.split("|"))
     defined = re.findall(rf"--({PARTS}): (#[0-9a-fA-F]{{6}})", LIVE.read_text(encoding="utf-8"))
     assert len(defined) == len(dict(defined)), "a part with two colours"

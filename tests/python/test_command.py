@@ -1,4 +1,4 @@
-"""The command `fivebar` and the functions of the package: answers, sentences, exit codes, and nothing half-made."""
+"""The command `fivebar` and the functions of the package: output, errors, exit codes, no partial files."""
 
 import json
 import re
@@ -23,7 +23,7 @@ FALL = {"description": "A short fall.", "experiment": {"stopTime": 0.05}, "init.
 
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmu: Path) -> Path:
-    """An empty folder with a space and an umlaut in its name, in which commands are given."""
+    """An empty working directory with a space and an umlaut in its name."""
     folder = tmp_path / "in der Übung"
     folder.mkdir()
     monkeypatch.chdir(folder)
@@ -33,7 +33,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmu: Path) -> Path:
 
 @pytest.mark.parametrize("name", list(group.commands))
 def test_help_teaches(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """The help has the subcommand's purpose, in a line that the list of all has as well; every option in words; no packages are needed for it."""
+    """The help begins with the purpose, as the list of subcommands does, and explains every option; it needs no packages."""
     assert main([name, "--help"]) == 0
     text = capsys.readouterr().out
     first = text.split("\n\n")[1].strip()
@@ -95,10 +95,10 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
         (["twin", "--scene", "bounse"], "fivebar twin: there is no scene 'bounse'; did you mean 'bounce'?"),
     ],
 )  # fmt: skip
-def test_what_is_refused_is_one_sentence(
+def test_refusals_are_one_sentence(
     words: list[str], sentence: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On standard error, with exit code 2, and nothing is made."""
+    """The sentence is on standard error, the exit code is 2, and no file is written."""
     assert main(words) == 2
     [line] = [line for line in capsys.readouterr().err.splitlines() if "real time" not in line]
     assert line.startswith(sentence)
@@ -107,7 +107,7 @@ def test_what_is_refused_is_one_sentence(
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_a_scene_may_have_a_byte_order_mark(encoding: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As editors of Windows write it."""
+    """Editors on Windows write one."""
     text = '{"description": "größer", "experiment": {"stopTime": 0.01}, "tau[1]": 0.5}'
     Path("own.json").write_text(text, encoding=encoding)
     assert main(["run", "own.json"]) == 0
@@ -160,7 +160,7 @@ def test_a_scene_may_have_a_byte_order_mark(encoding: str, here: Path, capsys: p
 def test_odd_files_are_refused(
     name: str, content: str | bytes, sentence: str, tmp_path: Path, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One sentence that names the file, and nothing half-made."""
+    """One sentence names the file, and no file is written."""
     file = tmp_path / f"{name}.json"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     assert main(["run", str(file)]) == 2
@@ -172,11 +172,11 @@ def test_odd_files_are_refused(
 def test_a_file_with_an_odd_name_is_run(
     tmp_path: Path, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Results go to a folder named after the file, and what they are named after it as well."""
+    """The folder of the results and the results are named after the file."""
     shown: list[str] = []
 
     def show(address: str) -> None:
-        """The page is there before tables and pictures, which take longer."""
+        """The page is written before tables and pictures, which take longer."""
         assert [written.name for written in here.rglob("*.*") if written.is_file()] == [f"{file.stem}.html"]
         shown.append(address)
 
@@ -208,8 +208,8 @@ def test_a_unit_without_a_library_for_this_machine_is_told(
 
 
 @pytest.mark.parametrize("code", ["import fivebar", "from fivebar.commands import main; main(['scenes'])"])
-def test_what_neither_computes_nor_draws_loads_no_packages_for_it(code: str) -> None:
-    """The package answers at once: numbers, pictures and units are loaded by what needs them."""
+def test_commands_that_neither_compute_nor_draw_load_no_packages_for_it(code: str) -> None:
+    """The package answers at once: packages for numbers, pictures and units are loaded only by functions that need them."""
     code += "; import sys; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = done.stdout.splitlines()[-1].split()
@@ -239,7 +239,7 @@ def test_an_error_of_this_program_is_a_sentence(
 def test_shipped_pages_open(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, source: str
 ) -> None:
-    """The live page and the documentation, or a sentence that says how to make them."""
+    """The live page and the documentation open; if the package lacks them, a sentence says how to make them."""
     shown: list[str] = []
     monkeypatch.setattr("webbrowser.open", shown.append)
     monkeypatch.setattr(shipped, source, lambda: tmp_path / "index.html")
@@ -251,7 +251,7 @@ def test_shipped_pages_open(
 def test_missing_extras_are_one_sentence(
     monkeypatch: pytest.MonkeyPatch, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """All that is missing, and the command that brings it; help needs nothing."""
+    """The sentence names all missing packages and the command that installs them; help needs none."""
     calibrate, everything = (
         {requirement.name for requirement in extras.requirements(extra)} for extra in ("calibrate", "all")
     )
@@ -269,7 +269,7 @@ def test_missing_extras_are_one_sentence(
             and sentence.count("\n") == 1
         )
         assert "pyarrow" in sentence and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is needed\n")
-    # Only those who have a cluster need its packages.
+    # Only a cluster needs these packages.
     monkeypatch.setattr(extras, "_installed", lambda name: None if name == "distributed" else installed(name))
     for words in (["ensemble"], ["what-if", "--config", "x"]):
         assert main([*words, "--scheduler", "127.0.0.1:8786"]) == 2
@@ -281,7 +281,7 @@ def test_missing_extras_are_one_sentence(
 def test_extras_that_are_too_old_are_one_sentence(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each with its version and the versions that are allowed, behind what is missing; the oldest allowed version is none of them."""
+    """Missing packages come first, then each old one with its version and the allowed ones; the oldest allowed version is not listed."""
     oldest = {requirement.name: next(iter(requirement.specifier)).version for requirement in extras.requirements("all")}
     monkeypatch.setattr(extras, "_installed", oldest.get)
     extras.need("all")
@@ -337,7 +337,7 @@ print(len(blocked))
     ],
 )
 def test_an_extra_alone_imports_what_it_names(extra: str, folder: str) -> None:
-    """Each module that its subcommands load, with every package out of sight that neither the core nor the extra asks for."""
+    """All modules of its subcommands load although the packages of other extras are hidden."""
     root = Path(fivebar.__file__).parent
     files = [file for file in sorted((root / folder).glob("*.py")) if file.stem != "cluster" or "cluster" in extra]
     if extra == "none":
@@ -361,7 +361,7 @@ def test_an_extra_alone_imports_what_it_names(extra: str, folder: str) -> None:
 def test_a_run_without_a_stop_time_says_when_it_ends(
     signals: dict[str, Any], stop: float, why: str, here: Path
 ) -> None:
-    """A motion of 0.2 s ran for 50 s, and nothing said why."""
+    """The run lasts 50 s although the motion ends after 0.2 s; a line says so."""
     given = {"description": "a", "experiment": {"stepSize": 0.1}, "gravity.enabled": False, "signals": signals}
     Path("mine.json").write_text(json.dumps(given), encoding="utf-8")
     done = fivebar.run("mine.json")
@@ -375,7 +375,7 @@ def test_a_run_without_a_stop_time_says_when_it_ends(
 
 
 def test_a_run_in_python(here: Path) -> None:
-    """Named columns with units, pictures, page and table; the scene's other values and method."""
+    """A result has named columns with units, pictures, page and table; a run may change values and method."""
     fall = fivebar.run("fall_90_120", method="automatic", **{"gravity.g": 0, "init.omega[1]": 0.1})
     assert (
         fall.failure is None and fall.time[-1] == 2.0 and fall["tip.x"].shape == (2001,) and fall.units["tip.x"] == "m"

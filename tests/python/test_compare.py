@@ -1,4 +1,4 @@
-"""compare.py: what a difference between two builds amounts to, on runs made up for the purpose; and a build against itself."""
+"""compare.py: judging differences of two builds, on made-up runs; and a build against itself."""
 
 from pathlib import Path
 
@@ -14,13 +14,13 @@ TIME = np.arange(101) * 0.01
 
 
 def made_up(rows: int = 101, failure: str | None = None, **columns: np.ndarray) -> Run:
-    """A run that rests in the origin but for `columns`."""
+    """A run in which all columns except `columns` are 0."""
     rest = {"time": TIME, "tip.x": np.zeros(101), "tip.y": np.zeros(101), "solver.substeps": np.arange(101)} | columns
     return Run("made up", 1.0, 0.01, {}, {name: column[:rows] for name, column in rest.items()}, {}, failure=failure)
 
 
 def moved(by: float, since: float) -> np.ndarray:
-    """A column that is 0 up to `since`, s."""
+    """A column that is 0 until `since`, s."""
     return np.where(since <= TIME, by, 0.0)
 
 
@@ -28,7 +28,7 @@ STILL = made_up()
 
 
 def test_the_same_bits() -> None:
-    """Not a number is itself; an output that only one build has is no difference."""
+    """NaN equals NaN; an output that only one build has is not a difference."""
     nothing = {"energy.error": np.full(101, np.nan)}
     found = compare.difference(made_up(**nothing), made_up(**nothing, new=TIME))
     assert compare.verdict(found, []) is Verdict.SAME
@@ -47,7 +47,7 @@ def test_tips_are_held_together_for_half_a_second() -> None:
     assert compare.verdict(early, [late, early]) is Verdict.CHAOTIC
 
 
-def test_counters_are_told_and_forgiven() -> None:
+def test_counters_are_reported_and_tolerated() -> None:
     counted = np.arange(101) + (TIME > 0.2)
     found = compare.difference(STILL, made_up(**{"solver.substeps": counted}))
     assert found.counters == ("solver.substeps",) and compare.verdict(found, []) is Verdict.ROUND_OFF
@@ -55,7 +55,7 @@ def test_counters_are_told_and_forgiven() -> None:
 
 
 @pytest.mark.parametrize("other", [made_up(), made_up(50, "too stiff"), made_up(51, "too long"), made_up(0, "too far")])
-def test_ends_are_the_same(other: Run) -> None:
+def test_runs_must_end_alike(other: Run) -> None:
     """A run that fails must fail at the same point with the same sentence, or chaos must explain it."""
     failing = made_up(51, "too stiff")
     assert compare.verdict(compare.difference(failing, failing), []) is Verdict.SAME

@@ -1,4 +1,4 @@
-"""What shells complete, asked as their scripts ask: quickly, from the unit that is named, and nothing where there is none."""
+"""Shell completion, called as the shells call it: fast, from the named unit, and empty without a unit."""
 
 import os
 import shutil
@@ -22,7 +22,7 @@ finally:
 
 
 def completed(*words: str, fmu: Path | None = None, shell: str = "bash") -> list[str]:
-    """Completions of the last word; of zsh with type and help."""
+    """Completions of the last word; for zsh with type and help."""
     environment = os.environ | {
         "_FIVEBAR_COMPLETE": f"{shell}_complete",
         "COMP_WORDS": " ".join(["fivebar", *words]),
@@ -44,7 +44,7 @@ def completed(*words: str, fmu: Path | None = None, shell: str = "bash") -> list
     ids=" ".join,
 )  # fmt: skip
 def test_scenes(words: tuple[str, ...], fmu: Path) -> None:
-    """And files, which come first: the script for bash forgets what is before them."""
+    """Files come before the scenes, because the script for bash drops words before files."""
     assert completed(*words, "fall", fmu=fmu) == ["file,fall", "fall_90_120"]
 
 
@@ -54,7 +54,7 @@ def test_scenes_have_descriptions(fmu: Path) -> None:
 
 
 def test_names(fmu: Path) -> None:
-    """Of what can be set, of columns, of methods; the names are those of the unit."""
+    """Names of parameters and inputs, columns, and methods come from the unit."""
     known = of_unit(fmu)
     assert completed("run", "swing", "--set", "", fmu=fmu) == [f"{name}=" for name in known.start]
     assert completed("run", "swing", "--set", "gravity.g", fmu=fmu) == ["gravity.g="]
@@ -72,7 +72,7 @@ def test_values_that_have_names(fmu: Path) -> None:
 
 
 def test_the_unit_that_is_named(fmu: Path, tmp_path: Path) -> None:
-    """Nothing is completed, and nothing is printed, where there is no unit."""
+    """Without a unit, nothing is completed and nothing is printed."""
     broken = tmp_path / "broken.fmu"
     broken.write_text("no archive")
     assert completed("run", "--fmu", str(tmp_path / "none.fmu"), "--method", "", fmu=fmu) == []

@@ -1,4 +1,4 @@
-"""The papers hold together: links lead somewhere, equations are numbered in order, what is named is there."""
+"""Consistency of the documentation: links work, equations are numbered in order, named things exist."""
 
 import json
 import re
@@ -15,7 +15,7 @@ DERIVATION = ("method", "vertices", "explicit", "derivatives", "conserving", "au
 """The pages of docs/ that derive the mathematics, in the order of their equation numbers."""
 
 ELSEWHERE = {"license.md", "LICENSE-MIT.md", "dual-encoders.md"}
-"""Papers that other projects have, and the packer looks for."""
+"""Names of documents that are not in this repository: other projects have them, and the packer looks for them."""
 
 IN_THE_SITE = {
     "index.md",
@@ -27,7 +27,7 @@ IN_THE_SITE = {
     "schema.md",
     "variables.md",
 }
-"""Papers that only the site has: its front page and its reference, which xtask/python/site generates."""
+"""Pages that only the site has: its front page and its reference, made by xtask/python/site."""
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 POINTER = re.compile(
@@ -36,7 +36,7 @@ POINTER = re.compile(
 
 
 def tracked(*patterns: str) -> list[Path]:
-    """The files of the repository that fit, those included that git does not know yet."""
+    """The files of the repository that match, including new ones that git does not track yet."""
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "--", *patterns]
     names = subprocess.run(listed, cwd=REPOSITORY, capture_output=True, text=True, check=True).stdout.split()
     return [REPOSITORY / name for name in names if (REPOSITORY / name).is_file()]
@@ -57,7 +57,7 @@ def headings(text: str) -> list[str]:
 
 
 def anchor(heading: str) -> str:
-    """The name by which GitHub links to a heading."""
+    """GitHub's anchor of a heading."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
 
 
@@ -72,7 +72,7 @@ def test_links_lead_somewhere(paper: Path) -> None:
             continue
         name, _, place = link.partition("#")
         target = (paper.parent / name).resolve() if name else paper
-        assert target.exists(), f"{short(paper)} links to {link}, which is not there"
+        assert target.exists(), f"{short(paper)} links to {link}, which does not exist"
         if place:
             assert place in map(anchor, headings(target.read_text(encoding="utf-8"))), (
                 f"{short(paper)}: {link} has no such heading"
@@ -87,8 +87,8 @@ def test_equations_are_numbered_in_order() -> None:
     assert named <= set(numbers)
 
 
-def test_pointers_into_papers_are_right() -> None:
-    """`docs/method.md`, section 5, and its like: in papers and in comments."""
+def test_references_to_sections_are_right() -> None:
+    """References such as `docs/method.md`, section 5, in documents and comments."""
     for file in [*PAPERS, *SOURCES]:
         if file == Path(__file__):
             continue
@@ -101,7 +101,7 @@ def test_pointers_into_papers_are_right() -> None:
                 there = f"\\tag{{{equation}}}" in text
             else:
                 there = any(re.sub(r"^[\d.]+ ", "", title) == found["title"] for title in titles)
-            assert there, f"{short(file)} points to {found[0]}, which is not there"
+            assert there, f"{short(file)} refers to {found[0]}, which does not exist"
 
 
 def test_no_paper_is_named_that_is_not_there() -> None:
@@ -112,16 +112,16 @@ def test_no_paper_is_named_that_is_not_there() -> None:
             assert not missing, f"{short(file)} names {sorted(missing)}"
 
 
-def test_files_named_in_the_architecture_are_there() -> None:
-    """Paths in backticks; a name without a folder stands beside the path before it, or anywhere in the sources."""
+def test_files_named_in_the_architecture_exist() -> None:
+    """Paths in backticks. A name without a folder is in the folder of the path before it, or anywhere in the sources."""
     names = {path.name for path in SOURCES}
     for name in re.findall(
         r"`([\w./-]+(?:\.(?:rs|py|xml)|/))`", (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
     ):
-        assert (REPOSITORY / name).exists() or name in names, f"ARCHITECTURE.md names {name}, which is not there"
+        assert (REPOSITORY / name).exists() or name in names, f"ARCHITECTURE.md names {name}, which does not exist"
 
 
-def test_tests_named_in_papers_are_there() -> None:
+def test_tests_named_in_documents_exist() -> None:
     """Names with underscores in docs/scope.md and CONTRIBUTING.md: a test, a scene, or something else that a source defines."""
     code = "\n".join(source.read_text(encoding="utf-8") for source in SOURCES if source.suffix in (".rs", ".py"))
     known = set(re.findall(r"\b(?:fn|def) (\w+)", code)) | {
@@ -133,7 +133,7 @@ def test_tests_named_in_papers_are_there() -> None:
 
 
 def test_the_machine_of_the_docs_runs(fmu: Path) -> None:
-    """The scene that docs/my-machine.md shows as a machine of one's own, here as start values; its motion stays finite and balanced."""
+    """The scene in docs/my-machine.md runs: its motion is finite, and its energies balance."""
     (block,) = re.findall(
         r"^```json\n(.*?)^```$",
         (REPOSITORY / "docs" / "my-machine.md").read_text(encoding="utf-8"),

@@ -1,4 +1,4 @@
-"""The examples in the docstrings of the public modules run and show what they say."""
+"""The examples in the docstrings of the public modules run and print the stated output."""
 
 import doctest
 import importlib
@@ -26,7 +26,7 @@ MODULES = (
 
 @pytest.fixture(autouse=True)
 def here(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An empty folder, for examples write files, and no windows."""
+    """An empty working directory, because examples write files; no windows open."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("FIVEBAR_FMU", str(fmu))
     mpl.use("agg")
@@ -49,7 +49,7 @@ def functions() -> Iterator[tuple[str, Callable[..., Any]]]:
             continue
         for member in dir(offered):
             method = getattr(offered, member)
-            # Not what dict and ValueError have.
+            # Without the methods of dict and ValueError.
             if not member.startswith("_") and inspect.isroutine(method) and hasattr(method, "__code__"):
                 yield f"{name}.{member}", method
     yield from ((name, getattr(kinematics, name)) for name in ("mode_name", "sines"))
@@ -57,7 +57,7 @@ def functions() -> Iterator[tuple[str, Callable[..., Any]]]:
 
 @pytest.mark.parametrize(("name", "function"), list(functions()))
 def test_functions_have_all_sections(name: str, function: Callable[..., Any]) -> None:
-    """Parameters if there are any, what is returned, and an example, in the style of numpy."""
+    """Parameters if there are any, returns, and an example, in the style of numpy."""
     written = inspect.getdoc(function) or ""
     signature = inspect.signature(function)
     wanted = {"Examples"}
@@ -70,7 +70,7 @@ def test_functions_have_all_sections(name: str, function: Callable[..., Any]) ->
 
 
 def test_what_the_package_offers_is_documented_and_has_an_example() -> None:
-    """Each name of `fivebar`; notebooks complete also those that are loaded when they are asked for."""
+    """Each name of `fivebar`; notebooks also complete names that are loaded at first use."""
     for name in fivebar.__all__:
         offered = getattr(fivebar, name)
         assert name in dir(fivebar) and (offered.__doc__ or "").strip(), name

@@ -1,4 +1,4 @@
-"""Drawings as people have them: units, hidden shapes, nested pages, references, and files refused after bounded work."""
+"""Drawings of common programs: units, hidden shapes, nested pages, references, and files refused after bounded work."""
 
 import math
 import re
@@ -65,7 +65,7 @@ def test_absolute_units_of_a_page(read: Read, unit: str, sides: tuple[str, ...])
     ("attributes", "px"), [("", 1.0), ('width="90mm" height="90mm"', CSS_PX), ('width="90mm" viewBox="0 0 45 45"', 2.0)]
 )
 def test_absolute_units_of_a_shape(read: Read, unit: str, attributes: str, px: float) -> None:
-    """A user unit is a px where the page has a unit, or what the viewBox makes of it; a mm where it has none."""
+    """If the page has a unit, a user unit is a px or as the viewBox scales it; otherwise a mm."""
     user = MM[unit] if not attributes else MM[unit] / CSS_PX
     assert box(read(f'<line x2="10{unit}"/>', attributes))[2] == pytest.approx(10 * user * px)
     assert box(read(f'<rect width="10{unit}" height="1"/>', attributes))[2] == pytest.approx(10 * user * px)
@@ -106,7 +106,7 @@ def test_a_page_has_a_size(read: Read, value: str) -> None:
 
 
 def test_percentages_are_of_the_page(read: Read) -> None:
-    """Of its width, its height, and for radii its diagonal over the root of 2."""
+    """Percentages refer to width or height; for radii to the diagonal over the root of 2."""
     page = 'width="200mm" height="100mm" viewBox="0 0 80 60"'
     scale = 100 / 60
     shift = (200 - 80 * scale) / 2
@@ -161,7 +161,7 @@ HIDDEN = {
 
 @pytest.mark.parametrize(("name", "value"), HIDDEN.items())
 def test_hidden_shapes_are_not_drawn(read: Read, name: str, value: str) -> None:
-    """By attribute, style, rule of an element, class or id, of the shape, its group, its page or the <use>."""
+    """Shapes are hidden by attribute, style, or rule of an element, class or id; on the shape, its group, its page or the <use>."""
     name = name.strip()
     rule = f"{name}: {value}"
     path = '<path id="p" class="a b" {}d="M0 0 H10"/>'
@@ -195,7 +195,7 @@ def test_shapes_that_only_seem_hidden_are_drawn(read: Read) -> None:
         '<path opacity="0.01" d="M0 0 H10"/>',
         '<style>path { display: none } .a { display: inline }</style><path class="a" d="M0 0 H10"/>',
         '<style>@media print { path { display: none } }</style><path d="M0 0 H10"/>',
-        # Of rules of equal specificity the later one in the sheet wins, in whatever order an element names its classes.
+        # Among rules of equal specificity the later one in the sheet wins, whatever order of classes the element has.
         '<style>.a { display: none } .b { display: inline }</style><path class="b a" d="M0 0 H10"/>',
         '<style>path.a { display: none } path.b { display: inline }</style><path class="b a" d="M0 0 H10"/>',
     ]
@@ -243,7 +243,7 @@ def test_a_switch_draws_one_child(read: Read) -> None:
 @pytest.mark.parametrize(
     ("body", "expected"),
     [
-        # A shape has neither place nor size from its parent.
+        # A shape inherits neither position nor size.
         (
             '<svg x="10" y="20" width="50" height="50" viewBox="0 0 100 100"><rect width="10" height="5"/></svg>',
             (10, -22.5, 15, -20),
@@ -271,7 +271,7 @@ def test_a_switch_draws_one_child(read: Read) -> None:
         ),
         # An <svg> without size shows nothing.
         ('<svg width="0" viewBox="0 0 5 5"><path d="M0 0H9"/></svg><path d="M0 0H5"/>', (0, 0, 5, 0)),
-        # Of two elements with one id the first is meant.
+        # If two elements have the same id, the first one is used.
         ('<defs><path id="p" d="M0 0H5"/><path id="p" d="M0 0H9"/></defs><use href="#p"/>', (0, 0, 5, 0)),
         ('<g x="5" width="9" r="4"><path d="M0 0H5"/><rect height="9"/><circle/></g>', (0, 0, 5, 0)),
         (
@@ -340,7 +340,7 @@ def nest(depth: int, count: int, inner: str) -> str:
     ],
 )
 def test_work_is_bounded_by_counts(read: Read, monkeypatch: pytest.MonkeyPatch, body: str, what: str) -> None:
-    """Nothing is refused after more elements than are allowed, nor after more curves have been made."""
+    """A refusal comes before the allowed numbers of elements and curves are exceeded."""
     counts = {"elements": 0, "curves": 0}
     most = {
         "elements": svg.MOST_ELEMENTS,
@@ -404,7 +404,7 @@ def test_deep_drawings_are_refused(read: Read) -> None:
         read("<g>" * 50_000 + LINE + "</g>" * 50_000)
 
 
-# Values that are none
+# Malformed values
 
 
 @pytest.mark.parametrize(

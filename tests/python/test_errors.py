@@ -34,7 +34,7 @@ New = Callable[..., Instance]
     ids=lambda v: " ".join(v) if isinstance(v, dict) else "",
 )
 def test_starts_that_are_refused(new: New, values: Values, words: tuple[str, ...]) -> None:
-    """By the setter, or at the end of initialisation if several variables are involved."""
+    """The setter refuses them, or the end of initialisation if several variables are involved."""
     instance = new()
     status, text = instance.refusal(instance.initialise, values)
     assert status == fmi2.fmi2Error
@@ -114,7 +114,7 @@ def test_wrong_guid(model: ModelDescription, directory: str) -> None:
     assert "00000000-0000-0000-0000-000000000000" in log.last()
 
 
-def test_functions_of_capabilities_that_are_declared_false(new: New, model: ModelDescription) -> None:
+def test_functions_of_capabilities_declared_false(new: New, model: ModelDescription) -> None:
     """They are exported, return fmi2Error and name the flag."""
     instance = new().initialise()
     slave, flags = instance.slave, model.coSimulation

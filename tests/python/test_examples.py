@@ -1,4 +1,4 @@
-"""The scripts of examples/, as a user runs them: they end well and say what they promise."""
+"""The scripts of examples/, run as a user runs them: they succeed and print the promised results."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from instance import Log, get_values, instantiate, set_values
 
 
 def output(fmu: Path, folder: Path, name: str) -> str:
-    """Output of examples/`name`, run from a folder that has nothing of a checkout: the package knows where its unit is."""
+    """Output of examples/`name`, run outside the repository: the package finds its unit."""
     command = [sys.executable, str(REPOSITORY / "examples" / name)]
     environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
@@ -37,7 +37,7 @@ def test_switch_effects(fmu: Path, tmp_path: Path, model: object) -> None:
     printed = output(fmu, tmp_path, "switch_effects.py")
     rows = re.findall(r"^ *(\D.*?)  +(-?\d+\.\d{4}) +(-?\d+\.\d{4}) +(\d+\.\d{3}) +(\S+)$", printed, re.MULTILINE)
     assert len(rows) == 11 and len({row[1] for row in rows}) == 11
-    # A fall's energy is some 0.1 J; what is lost in stiff stops and floors is below 1e-3 of it.
+    # The energy of a fall is some 0.1 J; stiff stops and floors lose less than 1e-3 of it.
     assert all(abs(float(row[4])) < 1e-4 for row in rows)
     assert "the motion differs from t = 0.501 s on" in printed
 
@@ -51,7 +51,7 @@ def test_own_scene(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_look_ahead(fmu: Path, tmp_path: Path) -> None:
-    """The torque that leads highest is taken, and looking ahead leaves the twin where it was: the end is that without it."""
+    """The torque with the highest end is chosen, and looking ahead does not change the twin: it ends as without."""
     printed = output(fmu, tmp_path, "look_ahead.py")
     ways = [
         [(float(torque), float(y)) for torque, y in re.findall(r"(\S+) N\.m leads to (\S+) m", line)]
@@ -74,7 +74,7 @@ def test_look_ahead(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_resynchronise(fmu: Path, tmp_path: Path) -> None:
-    """The tip is known to some hundredths of a millimetre, within its bands; predictions are off by what the payload does in 0.5 s."""
+    """The tip is known to some hundredths of a millimetre, within its bands; the unknown payload dominates errors 0.5 s ahead."""
     printed = output(fmu, tmp_path, "resynchronise.py")
     rows = re.findall(r"^ +(\d\.\d) +(\S+) +(\S+) +(\S+) +\d+$", printed, re.MULTILINE)
     assert len(rows) == 11, printed
@@ -108,7 +108,7 @@ if __name__ == "__main__":
     ["my_machine", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("follow", "free_fall"))],
 )
 def test_notebooks(fmu: Path, tmp_path: Path, name: str) -> None:
-    """The cells run one after the other, by public names only, and print what is stored in the notebook."""
+    """The cells run in order, use only public names, and print the stored output."""
     notebook = REPOSITORY / "examples" / f"{name}.ipynb"
     cells = [cell for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
     assert not any("._" in "".join(cell["source"]) for cell in cells)
@@ -149,7 +149,7 @@ def test_resume(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_two_units(fmu: Path, tmp_path: Path) -> None:
-    """In the end the wall holds the follower, the operator's 0.5 N are a fifth of what it does, and the leader feels them."""
+    """At the end the wall holds the follower with five times the operator's 0.5 N, and the leader feels the wall."""
     last = [float(x) for x in output(fmu, tmp_path, "two_units.py").splitlines()[-1].split()]
     time, leader, follower, force, apart = last
     # 2.5 N indent a wall of 2e4 N/m by 0.125 mm.
@@ -168,20 +168,20 @@ def test_examples_are_short(path: Path) -> None:
 
 
 def test_fixed_step(fmu: Path, tmp_path: Path) -> None:
-    """Every macro step is one step, of bounded work, and energy and constraints stay."""
+    """Every macro step is one step of bounded work; energy and constraints are kept."""
     printed = output(fmu, tmp_path, "fixed_step.py")
     assert "10000 steps of 1.0 ms, 10000 sub-steps" in printed
     (energy,) = re.findall(r"largest energy error (\S+) J", printed)
     position, velocity = re.findall(r"at the end (\S+) m, (\S+) m/s", printed)[0]
-    # 1e-8 mgL; what the battery demands of falls.
+    # 1e-8 mgL, as the battery requires for falls.
     assert float(energy) < 3.5e-10 and float(position) < 1e-14 and float(velocity) < 1e-11
-    # Those of the fallback's projection come on top.
+    # The projection of the fallback adds some.
     assert int(re.findall(r"iterations of a step: (\d+)", printed)[0]) <= 70
 
 
 @pytest.mark.full
 def test_optimal_control(fmu: Path, tmp_path: Path) -> None:
-    """The swing needs less than holding would, and what model exchange has planned is what co-simulation does; there is a picture."""
+    """The swing needs less torque than holding would; co-simulation reproduces the plan made by model exchange; a picture is drawn."""
     printed = output(fmu, tmp_path, "optimal_control.py")
     lifted, largest, holding = (
         float(x) for x in re.findall(r"lifted by (\S+) m; largest torque (\S+) N.m, to hold it (\S+) N.m", printed)[0]
@@ -202,7 +202,7 @@ def test_workspace(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_draw(fmu: Path, tmp_path: Path) -> None:
-    """The robot draws what the docs say, to the figures that they have; the drawing that comes too close is refused with the place."""
+    """The robot draws as the docs show, with the same figures; a drawing too close to a singularity is refused with the place."""
     printed = output(fmu, tmp_path, "draw.py")
     assert "fivebar.svg: 16 strokes, 0.6668 m of lines in 18.67 s" in printed
     largest, mean = (

@@ -1,4 +1,4 @@
-"""Facts that stand in papers and elsewhere: start values of effects, what docs/first-run.md prints of a run, sizes of libraries."""
+"""Facts that the documentation repeats: start values of effects, the output of a run in docs/first-run.md, sizes of libraries."""
 
 import io
 import math
@@ -29,7 +29,7 @@ def text(path: str) -> str:
 
 
 def value(number: str) -> float:
-    """The value of what NUMBER matches."""
+    """The value of a match of NUMBER."""
     plain = number.replace("−", "-")
     if "π" not in plain:
         return float(plain)
@@ -43,7 +43,7 @@ def as_in_the_xml(shown: str) -> str:
 
 
 def parameters(model: ModelDescription, effect: str) -> dict[str, ScalarVariable]:
-    """The parameters of an effect but its switch, by what follows its name."""
+    """The parameters of an effect except its switch, by the part of the name after the effect."""
     named = {v.name.removeprefix(f"{effect}."): v for v in model.modelVariables if v.name.startswith(f"{effect}.")}
     return {name: v for name, v in named.items() if v.causality == "parameter" and name != "enabled"}
 
@@ -74,7 +74,7 @@ def test_docs_have_the_start_values_of_effects(model: ModelDescription, effect: 
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_sources_have_the_start_values_of_effects(model: ModelDescription, effect: str) -> None:
-    """Every number after "Default" on top of an effect's file is the start value of one of its parameters, but for the sign."""
+    """Every number after "Default" in the head of an effect's file is, up to sign, the start value of one of its parameters."""
     lines = text(f"src/effects/{effect}.rs").splitlines()
     head = " ".join(line.removeprefix("//!").strip() for line in lines if line.startswith("//!"))
     (defaults,) = re.findall(r"Defaults?: (.*?) Limits: ", head)
@@ -90,7 +90,7 @@ def test_sources_have_the_start_values_of_effects(model: ModelDescription, effec
 
 
 def test_the_first_run_prints_what_its_page_shows(fmu: Path, scenes: Path) -> None:
-    """All lines of the summary but the times."""
+    """All lines of the summary, without times."""
     scene = read(scenes / "paper_free_fall.json")
     run = drive(shared(fmu), scene, scene.variants[0], Progress("", scene.stop_time, io.StringIO()))
     (block,) = re.findall(r"^```text\n(  tip at the end.*?)^```$", text("docs/first-run.md"), re.MULTILINE | re.DOTALL)
@@ -102,7 +102,7 @@ def test_the_first_run_prints_what_its_page_shows(fmu: Path, scenes: Path) -> No
 
 
 def test_readme_has_all_environment_variables() -> None:
-    """Those that the package, its scripts and the shared parts of the tests read."""
+    """All environment variables that the package, its scripts and the shared parts of the tests read."""
     table = text("README.md").split("| environment variable |")[1].split("\n\n")[0]
     files = [
         *REPOSITORY.glob("python/src/**/*.py"),
@@ -120,7 +120,7 @@ SIZES = dict(re.findall(r"^  binaries/([\w-]+)/FiveBar\.\w+: (\d+) bytes", text(
 
 
 def test_docs_have_sizes_below_their_limit() -> None:
-    """Each library of docs/platforms.md is below the limit of the same page, which is the one of the packer."""
+    """Each library in docs/platforms.md is below the limit on that page, which is the packer's limit."""
     (sentence,) = re.findall(r"^- less than (.*) \(", text("docs/platforms.md"), re.MULTILINE)
     limits = {folder: most for most, folder in re.findall(r"([\d,]+) (?:bytes )?for ([\w-]+)", sentence)}
     assert SIZES.keys() == limits.keys() == {"aarch64-linux", "darwin64", "linux64", "win64"}
@@ -131,7 +131,7 @@ def test_docs_have_sizes_below_their_limit() -> None:
 
 @pytest.mark.platforms
 def test_libraries_have_the_sizes_that_docs_say(fmu: Path) -> None:
-    """Of the unit for all platforms, within 10 %: the library for one machine alone has a standard library of another build."""
+    """Sizes of the unit for all platforms, within 10 %; a library for one machine contains another build of the standard library."""
     with zipfile.ZipFile(fmu) as archive:
         libraries = [item for item in archive.infolist() if item.filename.startswith("binaries/")]
     packed = {Path(item.filename).parent.name: item.file_size for item in libraries}

@@ -18,7 +18,7 @@ MGL = 0.017 * 9.81 * 0.21
 """m g L of the paper's links, J."""
 
 FALLS = [(0.003, 0.004, 1), (-0.05, 0.1, 2), (0.01, 0.29, 1), (0.2, 0.3, 2)]
-"""Left and right proximal angle off 90 degrees, rad, and the assembly."""
+"""Deviation of left and right proximal angle from 90 degrees, rad, and the assembly."""
 
 
 def start(left: float, right: float, assembly: int) -> dict[str, float | int]:
@@ -47,7 +47,7 @@ def test_perturbed_falls(new: Callable[..., Instance], fall: tuple[float, float,
 
 
 def test_irregular_communication_steps(new: Callable[..., Instance]) -> None:
-    """Whatever the steps, the energy stays and the time is the sum of the steps: near the reference while that is predictable."""
+    """For any steps the energy is constant, time is the sum of the steps, and the motion is near the reference while predictable."""
     instance, even = new().initialise(start(0.0, math.pi / 6, 1)), new("even").initialise(start(0.0, math.pi / 6, 1))
     time = 0.0
     for size in [1e-6] * 100 + [1 / 60] * 12 + [1e-3] * 99 + [9e-4]:

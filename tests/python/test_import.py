@@ -26,7 +26,7 @@ from fivebar.twin.starter import sampling
 GRID = 0.005 * np.arange(400)
 LEFT, RIGHT = 1.2 + 0.3 * np.sin(3 * GRID), 0.7 - 0.2 * np.sin(5 * GRID)
 ROUND = 1e-12
-"""Factors of units and offsets leave round-off of some 1e-16; tables of the tests have all digits."""
+"""Tolerance: factors of units and offsets leave round-off of some 1e-16; the tables of the tests have all digits."""
 
 
 def write_csv(file: Path, head: str, *columns: Any) -> Path:
@@ -333,7 +333,7 @@ MOTION = np.column_stack(
         0.8 + 0.4 * np.sin(4.3 * GRID + 1) - 0.2 * np.cos(2.2 * GRID),
     ]
 )
-"""Angles of the motors: both all over the place, neither a function of the other."""
+"""Angles of the motors: both cover a wide range, and neither is a function of the other."""
 
 STEP = 2 * np.pi / 8192
 
@@ -360,9 +360,9 @@ def guessed(
     return out, assemble.recorded([table], maps.read(given))[0]
 
 
-@pytest.mark.parametrize("told_by", ["passive", "tip", "torque", "commands"])
+@pytest.mark.parametrize("redundant", ["passive", "tip", "torque", "commands"])
 def test_an_exchange_signs_and_zeros_are_found(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], told_by: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], redundant: str
 ) -> None:
     """Encoders are exchanged, the left one is reversed, both zeros are unknown: the proposed map gives the true angles."""
     machine = scenes.read(machine_file(tmp_path, LENGTHS))
@@ -373,9 +373,9 @@ def test_an_exchange_signs_and_zeros_are_found(
         "tip": posture.tip,
         "torque": holding_torques(machine, posture.theta),
         "commands": MOTION + 0.01 * np.sin(40 * GRID)[:, None],
-    }[told_by]
+    }[redundant]
     file = write_csv(tmp_path / "a.csv", "time,a,b,x,y", GRID, right, left, *columns.T)
-    names = {"passive": "passive.theta[{}]", "torque": "tau[{}]", "commands": "servo.theta[{}]"}.get(told_by)
+    names = {"passive": "passive.theta[{}]", "torque": "tau[{}]", "commands": "servo.theta[{}]"}.get(redundant)
     pair = [names.format(1), names.format(2)] if names else ["tip.x", "tip.y"]
     more = {name: {"column": column} for name, column in zip(pair, "xy", strict=True)}
     out, found = guessed(tmp_path, file, LENGTHS, capsys, t1={"column": "a"}, t2={"column": "b"}, **more)

@@ -1,4 +1,4 @@
-"""Inputs of a run as callers in Python give them: the same course in every form, and refusals of one sentence."""
+"""Inputs of a run in Python: every form gives the same values over time; refusals are one sentence."""
 
 from pathlib import Path
 from typing import Any
@@ -31,8 +31,8 @@ TABLE = pandas.DataFrame({"time": [0, 0.1], "tau[1]": [0, 0.02]})
     ],
     ids=["values", "list", "pair", "times", "frame", "frame by time", "function"],
 )
-def test_every_form_gives_the_same_course(given: Any, fmu: Path) -> None:
-    """As the file of a scene with these knots has it, up to round-off of a straight line."""
+def test_every_form_gives_the_same_values(given: Any, fmu: Path) -> None:
+    """Equal to a scene file with these knots, up to round-off of linear interpolation."""
     content = {"description": "a", "experiment": {"stopTime": 0.1}, "gravity.enabled": False}
     knots = {"signals": {"tau[1]": {"linear": [[0, 0], [0.1, 0.02]]}}}
     by_file = fivebar.run(content | knots, outputs="tip")
@@ -42,15 +42,15 @@ def test_every_form_gives_the_same_course(given: Any, fmu: Path) -> None:
     assert result.scene.signals.keys() == {"tau[1]"} and np.ptp(result["tip.x"]) > 1e-4
 
 
-def test_inputs_take_the_place_of_what_a_scene_says(fmu: Path) -> None:
-    """Signals and start values; a constant is one number, and a tunable parameter is an input too."""
+def test_inputs_replace_values_of_the_scene(fmu: Path) -> None:
+    """They replace signals and start values; a constant is one number; tunable parameters are allowed."""
     pushed = read("paper_torque").replace(stop_time=0.01, inputs={"tau[1]": 0.1, "payload.mass": np.linspace(0, 1, 11)})
     assert "tau[1]" not in pushed.values and pushed.signals["tau[1]"].tolist() == [0.1] * 11
     assert all("tau[1]" not in variant.values for variant in pushed.variants)
     path = read("pick_and_place")
     still = path.replace(inputs={"servo.omega[1]": 0.0})
     assert not still.signals["servo.omega[1]"].any() and still.signals.keys() == path.signals.keys()
-    # Other points of the run keep it: each sample holds until the next.
+    # At other communication points of the run each sample is constant until the next.
     assert pushed.replace(step_size=5e-4).signals["payload.mass"].tolist() == [
         *np.repeat(np.linspace(0, 0.9, 10), 2).tolist(), 1.0
     ]  # fmt: skip
@@ -89,7 +89,7 @@ def test_an_input_and_a_value_in_one_call_are_refused(fmu: Path) -> None:
 
 
 def test_inputs_of_a_scene_are_known_to_its_end_only() -> None:
-    """A longer run would hold the last value of a ramp; a constant goes on."""
+    """A longer run would keep the last value of a ramp, so it is refused; a constant continues."""
     given = read("flat_table").replace(stop_time=1.0, inputs={"tau[1]": ([0.0, 2.0], [0.0, 0.02]), "tau[2]": 0.01})
     assert given.replace(stop_time=0.5).signals["tau[1]"][-1] == pytest.approx(0.005)
     with pytest.raises(

@@ -1,4 +1,4 @@
-"""fivebar.kinematics against the unit, against numbers computed elsewhere, and against itself."""
+"""fivebar.kinematics against the unit, against independently computed numbers, and against itself."""
 
 import json
 import tomllib
@@ -40,7 +40,7 @@ class Sample(NamedTuple):
 
 
 def samples(machines: int, postures: int, seed: int = 40) -> list[Sample]:
-    """Machines of any lengths, every tenth coaxial, every fifth symmetric, with postures that their loops allow."""
+    """Machines with random lengths, every tenth coaxial, every fifth symmetric, in postures with a closed loop."""
     random = np.random.default_rng(seed)
     found: list[Sample] = []
     while len(found) < machines:
@@ -111,7 +111,7 @@ def pair(columns: dict[str, np.ndarray], first: str, second: str) -> np.ndarray:
 
 
 def test_the_unit_agrees(new: Callable[..., Instance]) -> None:
-    """10,000 postures of 200 machines: positions to 1e-12 m both ways, angles, rates and the Jacobian as well as they are conditioned."""
+    """10,000 postures of 200 machines: positions to 1e-12 m both ways; angles, rates and the Jacobian within their conditioning."""
     instance = new()
     for sample in samples(200, 50):
         made = sample.machine
@@ -141,7 +141,7 @@ def test_the_unit_agrees(new: Callable[..., Instance]) -> None:
             if rows.any():
                 back = made.inverse(tip[rows], working, sample.assembly)
                 again = made.forward(back.motors, sample.assembly)
-                # A posture near a direct singularity magnifies the round-off of the motors' angles.
+                # Near a direct singularity the round-off of the motor angles is amplified.
                 assert (np.abs(again.tip - tip[rows]) * sine[rows, :1]).max() < 1e-12
                 assert np.abs(elbow_to_tip(made, back) - np.array(made.lengths[1:3])).max() < 1e-12
                 assert (turned(back.motors, sample.theta[rows]) * sine[rows][:, 1:]).max() < 1e-11
@@ -161,12 +161,12 @@ def test_the_unit_agrees(new: Callable[..., Instance]) -> None:
 
 
 def turned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """How far two angles are apart, whole turns aside."""
+    """Difference of two angles modulo whole turns."""
     return np.abs(np.remainder(a - b + np.pi, 2 * np.pi) - np.pi)
 
 
 def elbow_to_tip(made: Machine, posture: Posture) -> np.ndarray:
-    """Distances of the tip from both elbows, which its closing must give back."""
+    """Distances of the tip from both elbows: the lengths of the distal links."""
     elbows = [made.lengths[i] * np.exp(1j * posture.theta[..., i]) + foot for i, foot in ((0, 0.0), (3, made.distance))]
     tip = posture.tip[..., 0] + 1j * posture.tip[..., 1]
     return np.abs(np.stack([tip - elbow for elbow in elbows], axis=-1))
@@ -177,7 +177,7 @@ def test_the_version_is_that_of_the_workspace() -> None:
     assert version("fivebar") == cargo["workspace"]["package"]["version"]
 
 
-# Numbers that were computed elsewhere, m and rad
+# Independently computed numbers, m and rad
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ def test_known_direct_singularities() -> None:
 
 
 def test_direct_singularity_on_the_axis() -> None:
-    """The elbows point inwards, the distal links along the x axis; the working mode of elbows outwards has its locus there."""
+    """With elbows inwards the distal links lie along the x axis; the working mode with elbows outwards has its locus there."""
     y = np.sqrt(0.09**2 - (0.059 - 0.09) ** 2)
     assert y == pytest.approx(0.084492603227, abs=1e-12)
     assert np.abs(sines(DEXTAR.inverse((0.059, y), OUT).theta)[0]) < 1e-7
@@ -264,7 +264,7 @@ def test_stretched_distal_links_are_on_the_curve_of_watt(made: Machine) -> None:
         if locus.posture == "stretched":
             x, y = locus.tip[:, 0] - half, locus.tip[:, 1]
             squared = x**2 + y**2
-            # Multiplied by r^2: no division at the middle, where the curve may pass.
+            # Multiplied by r^2, because the curve may pass through r = 0.
             root = np.sqrt(np.maximum(distal**2 * squared - (half * x) ** 2, 0))
             residual = np.minimum(
                 *(np.abs((proximal**2 - squared) * squared - (half * y + side * root) ** 2) for side in (-1, 1))
@@ -276,7 +276,7 @@ def test_stretched_distal_links_are_on_the_curve_of_watt(made: Machine) -> None:
     "made", [sample.machine for sample in samples(40, 5, seed=7)] + [PAPER, HAPTIC, DEXTAR, PANTOGRAPH]
 )
 def test_direct_loci_are_whole(made: Machine) -> None:
-    """Loci are closed and singular, their links have their lengths, and wherever a random line of postures changes its assembly there is one."""
+    """Loci are closed and singular, links have their lengths, and each random path that changes its assembly crosses a locus."""
     loci = made.direct_singularities(20_000)
     for locus in loci:
         assert np.abs(sines(locus.theta)[:, 0]).max() < 1e-12
@@ -308,7 +308,7 @@ def test_direct_loci_are_whole(made: Machine) -> None:
 def test_loci_of_distal_links_of_almost_equal_length(
     distance: float, proximal: tuple[float, float], more: float
 ) -> None:
-    """Links have their lengths to round-off, and the folded loci differ from those of equal lengths in proportion to the difference."""
+    """Links have their lengths to round-off; folded loci deviate from the loci for equal lengths in proportion to the difference."""
     alike, made = (Machine(distance, (proximal[0], 0.3 + by, 0.3, proximal[1])) for by in (0.0, more))
     loci = [[locus for locus in each.direct_singularities(4001) if locus.posture == "folded"] for each in (alike, made)]
     assert len(loci[0]) == len(loci[1]) == 2
@@ -316,11 +316,11 @@ def test_loci_of_distal_links_of_almost_equal_length(
         assert np.abs(sines(locus.theta)[:, 0]).max() < 1e-12
         posture = Posture(locus.theta, locus.tip, np.zeros((len(locus.tip), 2, 2)))
         assert np.abs(elbow_to_tip(made, posture) - np.array(made.lengths[1:3])).max() < 1e-15 * made.size
-        # An elbow moves by the difference over the sine of the proximal links' angle, 0.44 here at least; the links' points lie 5e-4 m apart.
+        # An elbow moves by the difference over the sine of the angle between the proximal links, at least 0.44 here; points are 5e-4 m apart.
         chords = np.concatenate([each.tip for each in loci[0]])
         nearest = np.hypot(*(locus.tip[::40, None] - chords).transpose(2, 0, 1)).min(axis=-1)
         assert nearest.max() < 4 * abs(more) + 5e-4 / 2
-        # With the tip there, both legs bent as on the locus, the distal links are in line: but for what 1e-15 m of the tip turns them.
+        # With the tip there and legs bent as on the locus, the distal links are in line, up to the rotation by 1e-15 m of the tip.
         for row in range(0, len(locus.tip), 200):
             bends = np.sign(sines(locus.theta[row])[1:])
             if np.abs(sines(locus.theta[row])[1:]).min() > 0.1:
@@ -330,9 +330,9 @@ def test_loci_of_distal_links_of_almost_equal_length(
 
 @pytest.mark.parametrize("more", [1e-12, 1e-9, 1e-5, 1e-2])
 def test_loci_at_an_angle_of_the_motor(more: float) -> None:
-    """The elbows are as far apart as the lengths differ: to round-off, over the sine of the right leg's angle there."""
+    """The distance of the elbows is the difference of the lengths, to round-off over the sine of the right leg's angle."""
     made = Machine(0.1, (0.21, 0.3 + more, 0.3, 0.21))
-    # Both elbows on one point, and a bit on.
+    # Both elbows at one point, and slightly further.
     theta1 = np.arccos(0.05 / 0.21) + more
     found = [posture for kind, posture in made.direct_at(float(theta1)) if kind == "folded"]
     assert len(found) == 2
@@ -358,7 +358,7 @@ def test_working_modes_that_are_none(working: object) -> None:
 
 
 def test_coaxial_motors() -> None:
-    """Legs that lie on each other are singular everywhere; the others have a ring, and all is symmetric about the axis."""
+    """Coincident legs are singular everywhere; other postures have a ring of singularities; all is symmetric about the axis."""
     coaxial = machine(0.0, 0.10, 0.12)
     assert coaxial.is_degenerate(ALIKE) and not coaxial.is_degenerate(OUT)
     assert coaxial.dexterity(coaxial.inverse((0.05, 0.15), ALIKE).theta) == 0
@@ -417,7 +417,7 @@ def test_rates_and_forces_go_both_ways() -> None:
         assert ellipse.axes == pytest.approx(singular_values, rel=1e-9)
         assert forces.axes == pytest.approx(1 / singular_values[:, ::-1], rel=1e-9)
         assert made.condition(theta) == pytest.approx(singular_values[:, 0] / singular_values[:, 1], rel=1e-9)
-        # Their major axes are perpendicular, and the point that the angle names is on the ellipse.
+        # Their major axes are perpendicular, and the point at the given angle is on the ellipse.
         assert np.abs(np.cos(ellipse.angle - forces.angle)).max() < 1e-6
         major = ellipse.axes[:, :1] * np.stack([np.cos(ellipse.angle), np.sin(ellipse.angle)], axis=-1)
         assert np.hypot(*made.motor_rates(theta, major).T) == pytest.approx(1.0, abs=1e-9)
@@ -438,7 +438,7 @@ def test_shapes_are_kept() -> None:
 
 
 def test_the_rim_of_the_reach_is_reached() -> None:
-    """On the rim, to the last bit or two, legs are stretched and nothing is NaN."""
+    """On the rim, up to two bits, legs are stretched and no value is NaN."""
     for made in (PAPER, DEXTAR, PANTOGRAPH, *(sample.machine for sample in samples(20, 1, seed=5))):
         for leg in (0, 1):
             for radius in made.reach[leg]:
@@ -538,7 +538,7 @@ def test_refusals(call: Callable[[], object], sentence: str) -> None:
 
 
 def test_scenes_are_read(scenes: Path, tmp_path: Path) -> None:
-    """By name and by file; what cannot be read is named."""
+    """Scenes are read by name and by file; the error names an unreadable file."""
     assert Machine.from_scene(scenes / "haptic.json") == HAPTIC
     assert Machine.from_scene("paper_torque") == PAPER
     with pytest.raises(ValueError, match="there is no scene 'nonsense'; there are .*haptic"):

@@ -30,7 +30,7 @@ def methods(model: ModelDescription) -> dict[str, int]:
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder with what node has written."""
+    """The folder with the files that node wrote."""
     folder = tmp_path_factory.mktemp("bits")
     subprocess.run(["node", REPOSITORY / "tests" / "page" / "bits.mjs", SITE, folder], check=True)
     return folder
@@ -40,7 +40,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_page_computes_the_bits_of_the_unit(
     scene: str, ran: Path, scenes: Path, model: ModelDescription, directory: str
 ) -> None:
-    """All that is computed is equal at each millisecond, and so is the sentence where a method refuses a scene."""
+    """All computed variables are equal at each millisecond; if a method refuses a scene, the sentences are equal."""
     content = read(scenes / f"{scene}.json", Variables(model)).resolved()
     names = json.loads((ran / "variables.json").read_text())
     references = {v.name: v.valueReference for v in model.modelVariables}
@@ -88,7 +88,7 @@ def test_the_page_computes_the_bits_of_the_unit(
 
 
 def test_every_scene_has_run(ran: Path, model: ModelDescription) -> None:
-    """No scene and no method is missing, and refusals are exceptions."""
+    """No scene and no method is missing, and most of them run."""
     files = {path.stem for path in ran.glob("*.txt")}
     assert files == {f"{scene}-{method}" for scene in SCENES for method in methods(model)}
     refused = [path.stem for path in ran.glob("*.txt") if path.read_text()]

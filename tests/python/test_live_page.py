@@ -40,7 +40,7 @@ def browser(tmp_path: Path) -> Iterator[Any]:
 
 
 def wait(browser: Any, condition: Callable[[], bool]) -> None:
-    """Waits for a condition; a machine that does other things as well takes its time."""
+    """Waits for a condition, long enough for a busy machine."""
     deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline, browser.execute_script("return JSON.stringify({...document.body.dataset})")
@@ -53,12 +53,12 @@ def data(browser: Any, name: str) -> str:
 
 
 def number(browser: Any, name: str) -> float:
-    """One that is a number."""
+    """An attribute of <body> as a number."""
     return float(data(browser, name))
 
 
 def go(browser: Any, link: str) -> None:
-    """Opens the page anew with a link's state."""
+    """Reloads the page with the state of a link."""
     browser.get("about:blank")
     browser.get(f"{FILE.as_uri()}#{link}")
     wait(browser, lambda: data(browser, "state") in ("ready", "refused"))
@@ -99,7 +99,7 @@ def keys(browser: Any, *pressed: str) -> None:
 
 
 def problem(browser: Any) -> str:
-    """The sentence about what went wrong."""
+    """The sentence of the error."""
     return browser.execute_script("const e = document.getElementById('problem'); return e.hidden ? '' : e.textContent")
 
 
@@ -109,7 +109,7 @@ def text(browser: Any, name: str) -> str:
 
 
 def test_it_moves_from_disk_and_asks_for_nothing(browser: Any) -> None:
-    """One file of less than 2 MB; every frame has its data; no request."""
+    """The page is one file of less than 2 MB, sends no request, and has data for every frame."""
     assert FILE.stat().st_size < 2_000_000
     wait(browser, lambda: number(browser, "time") > 0.2)
     assert data(browser, "scene") == "fall_90_120"
@@ -122,7 +122,7 @@ def test_it_moves_from_disk_and_asks_for_nothing(browser: Any) -> None:
 
 
 def test_a_frame_takes_less_than_its_sixtieth_of_a_second(browser: Any) -> None:
-    """60 frames a second on one core, and motion in less than a second: time of the page's thread, which other programs do not lengthen."""
+    """60 frames a second on one core, and motion within a second. The CPU time of the page's thread counts, which other programs do not change."""
 
     def computed() -> float:
         metrics = browser.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
@@ -147,7 +147,7 @@ def test_a_frame_takes_less_than_its_sixtieth_of_a_second(browser: Any) -> None:
 
 
 def test_it_shows_the_bits_of_the_unit(browser: Any, new: Callable[..., Instance]) -> None:
-    """After some frames and single steps, tip and energy error are those of the library for this machine."""
+    """After some frames and single steps, tip and energy error equal the library for this machine."""
     wait(browser, lambda: number(browser, "time") > 0.1)
     pause(browser)
     keys(browser, "...", ":")
@@ -171,7 +171,7 @@ def test_singularities_are_passed_and_energy_holds(browser: Any) -> None:
 
 @pytest.mark.parametrize("kind", ["mouse", "touch"])
 def test_the_tip_is_dragged(kind: str, browser: Any) -> None:
-    """A table that lies at rest: the hand moves the tip, whose energy holds, and lets go of it."""
+    """On a horizontal table at rest, the hand moves the tip and releases it; then the energy is constant."""
     from selenium.webdriver.common.actions.action_builder import ActionBuilder
     from selenium.webdriver.common.actions.pointer_input import PointerInput
 
@@ -210,7 +210,7 @@ def test_keys_and_buttons_rule_time(browser: Any) -> None:
     click(browser, "step")
     keys(browser, ".")
     wait(browser, lambda: number(browser, "time") == pytest.approx(before + 0.002, abs=1e-9))
-    # A button that was clicked keeps the focus, and only its own keys.
+    # A clicked button keeps the focus and takes only its own keys.
     browser.find_element("id", "step").send_keys("r")
     wait(browser, lambda: number(browser, "time") == 0)
     browser.find_element("id", "step").send_keys(" ")
@@ -244,7 +244,7 @@ def test_a_start_that_cannot_be_closed_is_refused_in_the_units_words(
     assert (data(browser, "time"), text(browser, "time"), text(browser, "error")) == (None, "–", "–")
 
 
-def test_bounded_work_is_told_and_can_be_left(browser: Any) -> None:
+def test_bounded_work_is_reported_and_can_be_left(browser: Any) -> None:
     """A step that takes more work than is allowed stops time with the unit's sentence."""
     go(browser, "solver.maxWork=20&solver.errorTolerance=1e-15")
     wait(browser, lambda: "solver.maxWork" in problem(browser))
@@ -259,7 +259,7 @@ def test_what_a_link_cannot_hold_is_named(browser: Any) -> None:
 
 
 def test_effects_are_switched_in_the_posture(browser: Any) -> None:
-    """A switch and a slider change the machine where it is; a link and a command say what has been changed."""
+    """Switch and slider change the machine in its present posture; link and command contain the changes."""
     wait(browser, lambda: number(browser, "time") > 0.3)
     pause(browser)
     before = number(browser, "time"), number(browser, "tipX"), number(browser, "tipY")
@@ -336,9 +336,9 @@ def motion(folder: Path, fmu: Path, *words: str) -> str:
     return outputs.read_text()
 
 
-def test_what_is_taken_along_runs_alike(browser: Any, tmp_path: Path, fmu: Path) -> None:
-    """The command and the saved file give one motion; a value in the place of a signal is in the file alone. Both name the method, also where the
-    scene does not: then the commands would take another one than the page.
+def test_command_and_saved_file_run_alike(browser: Any, tmp_path: Path, fmu: Path) -> None:
+    """The command and the saved file give one motion; only the file has values that replace signals. Both name the method even if the
+    scene does not, because the commands would choose another one than the page.
     """
     go(browser, "scene=swing")
     assert text(browser, "command") == "fivebar run swing --method i3alp"
@@ -407,7 +407,7 @@ def test_licences_are_there(browser: Any) -> None:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_phone(scheme: str, browser: Any) -> None:
-    """Nothing sticks out at 390 px, fingers find the buttons, the canvas has the screen's pixels and the scheme's paper."""
+    """At 390 px nothing is wider than the screen, buttons are large enough, the canvas has the screen's pixels and the scheme's background."""
     browser.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     )
@@ -443,15 +443,15 @@ def test_reduced_motion_begins_paused(browser: Any) -> None:
     wait(browser, lambda: number(browser, "time") > 0.05)
 
 
-def test_everything_that_is_worked_has_a_name(browser: Any) -> None:
-    """Names for those who hear the page."""
+def test_every_control_has_a_name(browser: Any) -> None:
+    """Names for screen readers."""
     nameless = """return [...document.querySelectorAll("button, select, input, canvas[role]")]
                     .filter((e) => !(e.ariaLabel || e.textContent.trim() || e.labels?.length)).map((e) => e.outerHTML)"""
     assert browser.execute_script(nameless) == []
 
 
 def test_the_site_runs_from_a_web_server(browser: Any) -> None:
-    """The folder form asks its own server for its own files, and nobody else."""
+    """The page as a folder requests its own files from its own server, and nothing else."""
     asked: list[str] = []
 
     class Handler(SimpleHTTPRequestHandler):
@@ -472,11 +472,11 @@ def test_the_site_runs_from_a_web_server(browser: Any) -> None:
 
 @pytest.mark.parametrize("what", ["loci", "hand"])
 def test_in_node(what: str) -> None:
-    """Loci are where the unit passes them; the hand has the tip at the pointer soon, and holds it there."""
+    """Loci are where the unit passes them; the hand soon brings the tip to the pointer and keeps it there."""
     subprocess.run(["node", REPOSITORY / "tests" / "page" / f"{what}.mjs", PAGE / "site"], check=True)
 
 
 def test_a_wheel_carries_the_page(fmu: Path, tmp_path: Path) -> None:
-    """One that is made after the page, for `fivebar page` to open."""
+    """A wheel made after the page contains it, and `fivebar page` opens it."""
     with zipfile.ZipFile(build(fmu, tmp_path)) as wheel:
         assert wheel.read("fivebar/shipped/fivebar.html") == FILE.read_bytes()

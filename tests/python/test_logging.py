@@ -12,7 +12,7 @@ New = Callable[..., Instance]
 
 
 def provoke(instance: Instance) -> None:
-    """A call that is refused at any time: there is no such variable."""
+    """A call that is always refused: the variable does not exist."""
     with pytest.raises(FMICallException):
         instance.slave.getReal([4_000_000_000])
 
@@ -61,7 +61,7 @@ def test_undeclared_category(new: New) -> None:
 
 
 def test_a_tolerance_is_answered_with_an_event(new: New) -> None:
-    """FMPy and others hand one on at every start."""
+    """FMPy and others pass one at every start."""
     quiet, talking = new(logging_on=False), new(logging_on=True)
     for instance in (quiet, talking):
         assert instance.slave.setupExperiment(tolerance=1e-6) in (None, fmi2.fmi2OK)
@@ -71,7 +71,7 @@ def test_a_tolerance_is_answered_with_an_event(new: New) -> None:
 
 
 def test_percent_signs_are_safe(new: New) -> None:
-    """The text is a printf format by contract; a name with a percent sign must come out as it went in."""
+    """The standard makes the text a printf format; a name with a percent sign must appear unchanged."""
     instance = new("100 %s %n sure")
     provoke(instance)
     assert instance.log.messages[-1].instance == "100 %s %n sure"

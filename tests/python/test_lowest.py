@@ -38,7 +38,7 @@ def test_the_twin_and_tables_with_the_oldest_allowed_packages(fmu: Path, tmp_pat
             check=False,
             timeout=PATIENCE,
         )
-        # 3: busy machines forecast late.
+        # Exit code 3: on a busy machine forecasts come late.
         assert done.returncode in ((0, 3) if command[0] == programs / "fivebar" else (0,)), done.stdout + done.stderr
 
     uv = REPOSITORY / "target" / "uv" / "bin" / "uv"

@@ -1,4 +1,4 @@
-"""Many runs on processes: the same bits as one by one, failures, reductions, scripts."""
+"""Many runs in parallel processes: bits equal to single runs, failures, reductions, scripts."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ UNREACHABLE = {"init.theta[1]": np.pi, "init.theta[2]": 0.0}
 
 
 def end(result: Result) -> tuple[float, int]:
-    """What is kept of a run, and the process that had it."""
+    """Reduces a run to a few values and the id of its process."""
     return float(result["tip.x"][-1]), os.getpid()
 
 
@@ -30,7 +30,7 @@ def unit(fmu: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_many_runs_are_those_one_by_one(capsys: pytest.CaptureFixture[str]) -> None:
-    """To the bit, in the order in which they are asked for."""
+    """Results are equal to the bit and in the order of the arguments."""
     many = fivebar.run_many("swing", MASSES, stop_time=0.1, outputs="tip.x", inputs={"tau[1]": 0.01}, processes=2)
     lines = capsys.readouterr().err.splitlines()
     assert lines[-1] == "3 of 3 runs" and len(lines) == 3
@@ -41,7 +41,7 @@ def test_many_runs_are_those_one_by_one(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_scenes_and_reductions() -> None:
-    """A list of scenes; a function is called where the result is."""
+    """A list of scenes; the reduction runs in the process of the result."""
     scenes = [read("swing").replace(stop_time=0.05), "fall_90_120", {"experiment": {"stopTime": 0.05}}]
     found = fivebar.run_many(scenes, MASSES, reduce=end, processes=2, progress=False, stop_time=0.05)
     assert len({place for place, _ in found}) == 3 and os.getpid() not in {process for _, process in found}
@@ -51,7 +51,7 @@ def test_scenes_and_reductions() -> None:
 
 @pytest.mark.parametrize("processes", [1, 2])
 def test_runs_that_fail(processes: int) -> None:
-    """In their place, with what there is; or as the error of the whole call."""
+    """A failed run is in its place with its partial result, or is the error of the whole call."""
     values = [{}, HOPELESS, UNREACHABLE]
     kept = fivebar.run_many("swing", values, stop_time=0.1, on_failure="return", processes=processes, progress=False)
     whole, failed, refused = kept
@@ -63,8 +63,8 @@ def test_runs_that_fail(processes: int) -> None:
         fivebar.run_many("swing", values[:2], stop_time=0.1, processes=processes, progress=False)
 
 
-def test_what_cannot_be_run_is_one_sentence() -> None:
-    """Before anything is run."""
+def test_impossible_runs_are_one_sentence() -> None:
+    """The error comes before the first run."""
     with pytest.raises(FiveBarError, match=r"^run 1: 'link\[1\]\.mass' must be a number in kg"):
         fivebar.run_many("swing", [{}, {"link[1].mass": -1}])
     with pytest.raises(
@@ -77,7 +77,7 @@ def test_what_cannot_be_run_is_one_sentence() -> None:
 
 
 def test_a_script_without_its_guard_says_what_is_missing(tmp_path: Path) -> None:
-    """Each process imports the script, and would begin all runs again."""
+    """Each process imports the script and, without the guard, would start all runs again."""
     script = tmp_path / "sweep.py"
     call = "print(len(fivebar.run_many('swing', [{}, {}], stop_time=0.01, processes=2)))"
     script.write_text(f"import fivebar\n{call}\n")

@@ -1,4 +1,4 @@
-"""What the summary says of motors, against the columns of the run and the law of the servos."""
+"""Motors in the summary, against the columns of the run and the law of the servos."""
 
 import re
 from pathlib import Path
@@ -18,7 +18,7 @@ def here(monkeypatch: pytest.MonkeyPatch, fmu: Path) -> None:
 
 
 def facts(result: Result) -> dict[str, str]:
-    """The block on motors, by name, which is the first one; empty without."""
+    """The lines of the summary about motors, by name; empty if there are none."""
     lines = result.summary().splitlines()
     first = lines.index(result.own.label) + 1
     if not lines[first].startswith("  motors, "):
@@ -30,14 +30,14 @@ def facts(result: Result) -> dict[str, str]:
 
 
 def sizes(text: str, unit: str) -> list[float]:
-    """Rms, peak and its time."""
+    """Rms, peak and time of the peak in a line."""
     found = re.fullmatch(rf"rms {NUMBER}, peak {NUMBER} {re.escape(unit)} at t = {NUMBER} s", text)
     assert found, text
     return [float(number) for number in found.groups()]
 
 
 def expected(result: Result, course: np.ndarray) -> list[float]:
-    """The same of a column, to the digits that are printed."""
+    """Rms, peak and time of the peak of a column, to the printed digits."""
     row = int(np.argmax(np.abs(course)))
     return [
         pytest.approx(float(np.sqrt(np.mean(course**2))), rel=5e-3),
@@ -46,8 +46,8 @@ def expected(result: Result, course: np.ndarray) -> list[float]:
     ]
 
 
-def test_servos_that_step(fmu: Path) -> None:
-    """A servo is saturated while the torque of its gains is beyond its limit; with constant references the columns have both."""
+def test_servo_steps(fmu: Path) -> None:
+    """A servo is saturated while its gains ask for more than its limit; with constant references the columns have both torques."""
     result = fivebar.run("servo_step")
     found = facts(result)
     assert list(found) == [
@@ -65,7 +65,7 @@ def test_servos_that_step(fmu: Path) -> None:
 
 
 def test_a_motor_without_a_servo_tracks_nothing(fmu: Path) -> None:
-    """And one without a torque has none."""
+    """A motor without a servo has no tracking error, a motor without a torque no torque."""
     assert list(facts(fivebar.run("stiff_servo", stop_time=0.05))) == [
         "tracking error, left", "torque, left", "rate, left", "rate, right", "servos saturated",
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The picture that moves: well-formed, played by itself, in time with the run; and the one that the README shows."""
+"""The moving picture: well-formed, starts by itself, in time with the run; and the picture in the README."""
 
 import xml.etree.ElementTree as xml
 from pathlib import Path
@@ -18,7 +18,7 @@ LENGTH = 0.2
 
 
 def made_up(**parameters: float) -> Run:
-    """Both proximal links turn, the left one faster; the distal links are moved as they please."""
+    """Both proximal links turn, the left one faster; the distal links have arbitrary angles."""
     left, right = 0.5 * np.pi + 3 * TIME, 0.5 * np.pi + TIME
     columns = {
         "time": TIME,
@@ -57,7 +57,7 @@ def test_everything_plays_on_one_clock(tmp_path: Path) -> None:
     for animation in animations:
         keys = [float(key) for key in animation.get("keyTimes").split(";")]
         assert keys == sorted(keys) and (keys[0], keys[-1]) == (0, 1)
-        assert len(keys) == len(animation.get("values").split(";")), "a browser leaves out what does not match"
+        assert len(keys) == len(animation.get("values").split(";")), "a browser leaves out mismatched values"
     assert not list(root.iter(f"{SVG}script"))
     assert root.find(f"{SVG}title").text.startswith("a <b> & c")
 
@@ -112,7 +112,7 @@ def test_long_runs_have_none() -> None:
 
 
 def test_the_picture_of_the_readme(fmu: Path, tmp_path: Path) -> None:
-    """The picture is that of the scene: `cargo xtask run --scene fall_90_120`, copied to docs/images/."""
+    """The picture shows the scene: made by `cargo xtask run --scene fall_90_120`, copied to docs/images/."""
     simulate.run("fall_90_120", fmu=fmu).save(tmp_path)
     shown = REPOSITORY / "docs" / "images" / "fall_90_120.svg"
     assert (tmp_path / "animation.svg").stat().st_size < 300_000
@@ -121,6 +121,6 @@ def test_the_picture_of_the_readme(fmu: Path, tmp_path: Path) -> None:
         assert one.tag == other.tag
         for name in ("points", "values"):
             if name in one.attrib and "points" in (name, one.get("attributeName")):
-                # Tenths of a pixel: another rounding in the last digit may move one over the edge.
+                # Places are in tenths of a pixel; rounding may change the last digit.
                 ours, theirs = (numbers(element.get(name).replace(";", " ")) for element in (one, other))
                 assert ours == pytest.approx(theirs, abs=0.21)

@@ -29,7 +29,7 @@ def scene() -> dict:
 
 @pytest.fixture(scope="module")
 def values(scene: dict, model: ModelDescription) -> Values:
-    """Values of the file, as calls carry them; the signal with its value at 0 s."""
+    """Values of the file as calls pass them; the signal has its value at 0 s."""
     items = {
         v.name: {i.name: int(i.value) for i in v.declaredType.items}
         for v in model.modelVariables
@@ -92,7 +92,7 @@ def test_the_page_inside_says_what_is_different(own: Unit, values: Values) -> No
 
 
 def test_the_default_experiment_runs(own: Unit) -> None:
-    """As it stands: the start posture is the scene's, and the energies balance."""
+    """With nothing set, the start posture is the scene's, and the energies balance."""
     result = simulate_fmu(str(own.fmu), output=["theta[1]", "tip.y", "energy.error", "mode.assembly"])
     assert result["time"][-1] == pytest.approx(1.5) and result["theta[1]"][0] == 1.0 and result["mode.assembly"][0] == 2
     assert abs(result["tip.y"][-1] - result["tip.y"][0]) > 0.1
@@ -113,8 +113,8 @@ def test_reset_brings_its_own_starts_back(new_own: New) -> None:
     assert instance.initialise().bits() == new_own().initialise().bits()
 
 
-def test_a_stored_state_goes_on_and_is_no_state_of_another_unit(new: New, new_own: New) -> None:
-    """In the instance, in another one, from bytes; the plain unit refuses the bytes, as another GUID's, and the state itself."""
+def test_a_stored_state_continues_only_in_its_own_unit(new: New, new_own: New) -> None:
+    """It continues in the instance, in another one, and from bytes; the plain unit refuses the bytes, by the GUID, and the state."""
     first, second, plain = new_own().initialise(), new_own().initialise(), new().initialise()
     first.steps(50, 0.002)
     state = first.slave.getFMUState()
@@ -149,7 +149,7 @@ def test_two_units_side_by_side_have_no_influence(new: New, new_own: New) -> Non
 
 
 def test_a_start_that_is_refused_leaves_nothing(fmu: Path, tmp_path: Path) -> None:
-    """By the packer: no file, and one sentence, the unit's."""
+    """The packer writes no file and prints one sentence, the unit's."""
     file = tmp_path / "too_far.json"
     file.write_text(json.dumps({"description": "Motors too far apart", "base.distance": 5.0}), encoding="utf-8")
     command = ["cargo", "xtask", "package", "--scene", str(file)]

@@ -97,7 +97,7 @@ def test_the_same_scene_gives_the_same_bytes(fmu: Path, tmp_path: Path) -> None:
     assert not first.file.stat().st_mode & 0o111
 
 
-def test_the_guid_is_that_of_the_values(fmu: Path, tmp_path: Path) -> None:
+def test_the_guid_follows_from_the_values(fmu: Path, tmp_path: Path) -> None:
     """Another value, name, description or experiment gives another GUID; another folder does not."""
 
     def guid(made: Scene, name: str | None = None) -> str:

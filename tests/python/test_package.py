@@ -217,7 +217,7 @@ def test_structure(root: etree._Element, variables: list[etree._Element]) -> Non
             assert kinds is None or len(kinds.split()) == len(dependencies)
 
 
-def test_outputs_are_what_one_connects(variables: list[etree._Element]) -> None:
+def test_outputs_are_the_variables_that_masters_connect(variables: list[etree._Element]) -> None:
     """In this order; all other computed variables are local."""
     motion = ["tip.x", "tip.y", "tip.vx", "tip.vy", "theta[1]", "theta[2]", "omega[1]", "omega[2]"]
     forces = ["servo.torque[1]", "servo.torque[2]", "contact.fx", "contact.fy"]

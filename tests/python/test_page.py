@@ -29,7 +29,7 @@ def browser(page: Path, tmp_path: Path) -> Iterator[object]:
 
 
 def clock(browser: object) -> float:
-    """The simulated time that the page shows."""
+    """The simulated time shown on the page."""
     return float(browser.find_element("id", "clock").text)
 
 
@@ -55,12 +55,12 @@ def test_opens_and_draws(browser: object) -> None:
 
 def test_play_and_pause(browser: object) -> None:
     before = picture(browser)
-    # Slowly: 20 s remain to click before it ends by itself.
+    # Slow playback: 20 s remain to click before the end.
     browser.execute_script('document.getElementById("speed").value = "0.1"')
     click(browser, "play")
     wait_until(lambda: clock(browser) > 0.03)
     click(browser, "play")
-    # A busy machine draws what the click has stopped a little later.
+    # A busy machine draws the stopped picture a little later.
     time.sleep(0.5)
     reached = clock(browser)
     assert 0 < reached < 2.0
@@ -74,7 +74,7 @@ def test_it_stops_at_the_end_and_plays_again(browser: object) -> None:
     click(browser, "play")
     wait_until(lambda: browser.find_element("id", "play").get_attribute("aria-label") != "Pause")
     assert clock(browser) == pytest.approx(2.0)
-    # Slowly: 20 s of the clock on the wall remain to see the run before its end once more, on a busy machine too.
+    # Slow playback: 20 s of real time remain to see the run before its end again, also on a busy machine.
     browser.execute_script('document.getElementById("speed").value = "0.1"')
     click(browser, "play")
     wait_until(lambda: clock(browser) != 2.0)
@@ -136,7 +136,7 @@ def test_steps_and_keys(browser: object) -> None:
 
 
 def test_small_dark_screen(browser: object) -> None:
-    """A phone at night: nothing sticks out, the canvas follows the screen's pixels."""
+    """A phone in dark mode: nothing is wider than the screen, the canvas follows the screen's pixels."""
     light = picture(browser)
     browser.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
@@ -153,7 +153,7 @@ def test_small_dark_screen(browser: object) -> None:
 
 
 def resized(browser: object, width: int, height: int) -> None:
-    """Gives the page a window of that many pixels, however small."""
+    """Gives the page a window of the given size in pixels, however small."""
     metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     wait_until(
@@ -164,7 +164,7 @@ def resized(browser: object, width: int, height: int) -> None:
 
 
 def fills_its_card(browser: object) -> bool:
-    """Whether the canvas leaves no strip of its card empty, and the card begins and ends on the screen."""
+    """Whether the canvas fills its card, and the card fits on the screen."""
     return browser.execute_script(
         """const card = document.querySelector(".stage").getBoundingClientRect(), canvas = document.getElementById("canvas");
            return canvas.clientHeight >= card.height - 2 && card.bottom <= innerHeight;"""
@@ -172,7 +172,7 @@ def fills_its_card(browser: object) -> bool:
 
 
 def test_the_canvas_fills_its_card(browser: object) -> None:
-    """Also beside a panel that is higher than the canvas has to be: all energies, and the key of another run."""
+    """Also beside a panel that is higher than the canvas needs to be: all energies, and the key of another run."""
     resized(browser, 1280, 800)
     assert fills_its_card(browser)
     browser.execute_script('document.querySelector(".panel").style.minHeight = "560px"')
@@ -199,7 +199,7 @@ def test_the_path_of_the_tip_stays(browser: object) -> None:
            }
            return seen / end;"""
     )
-    # A quarter has the machine or other parts of the path beside it, which are as dark; without the path 0.16 are dark.
+    # A quarter also contains the machine or other parts of the path, which are as dark; without the path 0.16 is dark.
     assert share > 0.5
 
 
@@ -225,7 +225,7 @@ def map_browser(map_page: Path, tmp_path: Path) -> Iterator[object]:
 
 
 def test_the_machine_follows_the_pointer(map_browser: object) -> None:
-    """In each mode the page has the angles and the condition number that the package computes, and says what cannot be reached."""
+    """In each mode the page shows the angles and condition number of the package, and says so if a place cannot be reached."""
     from fivebar.kinematics import WORKING_MODES, Machine
 
     machine = Machine.from_scene("pick_and_place")

@@ -1,4 +1,4 @@
-"""Drawings: strokes of files, pieces by arc length, where a machine cannot follow, timing within limits, and what it draws."""
+"""Drawings: strokes of files, pieces by arc length, blocked places, timing within limits, the drawn result."""
 
 import csv
 import json
@@ -68,13 +68,13 @@ def line(*points: tuple[float, float]) -> np.ndarray:
     ],
 )
 def test_units_of_an_svg(drawing: Callable[..., strokes.Drawing], attributes: str, width: float, height: float) -> None:
-    """An inch is off by 5e-7, which svgelements has from rounded factors."""
+    """An inch is off by 5e-7, because svgelements has rounded factors."""
     low, high = 1e3 * drawing(attributes).box
     assert high - low == pytest.approx([width, height], rel=1e-6)
 
 
 def test_shapes_and_transforms(drawing: Callable[..., strokes.Drawing]) -> None:
-    """y points up; each shape, transform and reference gives the curve that it means."""
+    """y points up; each shape, transform and reference gives the right curve."""
     cases = {
         '<circle r="3" cx="5" cy="1"/>': [(2, -4), (8, 2)],
         '<g transform="translate(5 5) rotate(90) scale(2)"><rect width="4" height="2" rx="1"/></g>': [
@@ -95,7 +95,7 @@ def test_shapes_and_transforms(drawing: Callable[..., strokes.Drawing]) -> None:
         ],
     }
     for body, box in cases.items():
-        # Points of the box are at 16 parameters of a curve, arcs are cubics to 1e-8.
+        # The box is taken from 16 points of a curve; arcs are cubics, exact to 1e-8.
         assert 1e3 * drawing(body=body).box == pytest.approx(np.array(box), abs=5e-3), body
     circle = drawing(body='<circle r="30"/>').strokes[0]
     assert np.abs(np.hypot(*strokes.points_of(circle, 50).reshape(-1, 2).T) - 0.03).max() < 1e-9
@@ -147,7 +147,7 @@ def test_a_csv_as_spreadsheets_write_it(rows: str, encoding: str, tmp_path: Path
 
 
 def test_rows_of_a_csv(tmp_path: Path) -> None:
-    """Lengths are in the header's unit or mm; the pen is down on the way to a row that says so; y points up."""
+    """Lengths are in the header's unit or mm; `pen` tells whether the pen is down on the way to this row; y points up."""
     file = tmp_path / "drawing.csv"
     file.write_text("x [m],y [m],pen\n0,0,1\n0.1,0,1\n.1,.1,0\n.2,.1,1\n.2,.1,1\n", encoding="utf-8")
     first, second = strokes.read(file).strokes
@@ -167,13 +167,13 @@ def test_a_drawing_is_placed(drawing: Callable[..., strokes.Drawing]) -> None:
 
 
 def test_a_piece_goes_by_arc_length(drawing: Callable[..., strokes.Drawing]) -> None:
-    """Equal ways are equal arcs of a circle, whose curvature is 1/r; on a cubic the tangent is the derivative by the way."""
+    """On a circle equal arc lengths are equal angles and the curvature is 1/r; on a cubic the tangent is the derivative by arc length."""
     (circle,) = pieces.of(drawing(body='<circle r="30" cx="5"/>').strokes)
     assert circle.length == pytest.approx(2 * np.pi * 0.03, rel=1e-8)
     place, tangent, curvature = circle.at(way := np.linspace(0, circle.length, 1001))
     assert np.abs(np.hypot(*(place - (0.005, 0)).T) - 0.03).max() < 1e-9
     assert np.hypot(*np.diff(place, axis=0).T) == pytest.approx(0.06 * np.sin(np.diff(way) / 0.06), rel=1e-7)
-    # Second derivatives of the cubics that stand for arcs are off by 1e-5.
+    # Cubics replace arcs; their second derivatives are off by 1e-5.
     assert np.hypot(*curvature.T) * 0.03 == pytest.approx(np.ones(1001), abs=1e-4)
     (cubic,) = pieces.of(drawing(body='<path d="M0 0 C 5 15 20 -10 30 10"/>').strokes)
     place, tangent, curvature = cubic.at(way := np.linspace(0, cubic.length, 4001))
@@ -199,7 +199,7 @@ def test_corners_are_rests_and_pens_are_lifted() -> None:
 @pytest.mark.parametrize("profile", ["constant", "minimumJerk"])
 @pytest.mark.parametrize("length", [1e-3, 0.1])
 def test_profiles(profile: pieces.Profile, length: float) -> None:
-    """A piece begins and ends at rest; speed and acceleration keep to what is told, and one of them is reached."""
+    """A piece begins and ends at rest; speed and acceleration stay within their limits, and one of them reaches its limit."""
     timing = Timing(profile, 0.1, 2.0)
     share = np.linspace(0, 1, 20001)
     way, rate, change = timing.way(length, share)
@@ -241,14 +241,14 @@ ALMOST_ALIKE = [{"link[2].length": 0.3, "link[3].length": 0.3 + more} for more i
 )
 @pytest.mark.parametrize("working", WORKING_MODES[:3])
 def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bool], working: Working) -> None:
-    """Random lines against dense sampling: free ones cross nothing, blocked ones are free up to the place, and no longer behind it."""
+    """Random lines against dense sampling: free lines cross no border; blocked ones are free up to the reported place, and not behind it."""
     made = table(values)
     machine = Machine.from_scene(made)
     random = np.random.default_rng(7)
     outcomes = {"free": 0, "blocked": 0}
 
     def side(places: np.ndarray) -> np.ndarray:
-        """1 or -1, the assembly, where the tip may be; 0 elsewhere."""
+        """The assembly, 1 or -1, at allowed places of the tip; 0 elsewhere."""
         posture, reached = machine.field(places, working)
         return np.where(reached & (stop_margin(made, posture.motors) >= 0), np.sign(sines(posture.theta)[..., 0]), 0)
 
@@ -265,7 +265,7 @@ def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bo
             outcomes["blocked"] += 1
             way = np.hypot(*(blocked.place - begin)) / np.hypot(*(end - begin))
             assert np.all(sides[shares[:, 0] < way - 1e-3] == sides[0])
-            # A line that only touches a border crosses nothing: it is nearer than the tolerance allows.
+            # A line that only touches a border does not cross it, but it is closer than the tolerance allows.
             assert not len(crossed) or abs(shares[crossed[0], 0] - way) < 1e-3, str(blocked)
         else:
             outcomes["free"] += 1
@@ -318,7 +318,7 @@ def test_reasons_and_places(
 
 
 def test_work_on_blocked_drawings_is_bounded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """No length of a piece is computed, and all strokes of the picture are one artist."""
+    """No arc length is computed, and all strokes of the picture are one artist."""
     drawing = strokes.Drawing([line((0.05, 0.3), (0.05, 0.31), (0.06, 0.31)), line((0.05, 0.3), (-0.2, 0.3))] * 50)
     monkeypatch.setattr(pieces, "_lengths", None)
     with pytest.raises(Blocked) as blocked:
@@ -341,7 +341,7 @@ def test_a_drawing_that_takes_too_long_is_refused_before_the_work_on_its_pieces(
 
 
 def test_ways_with_lifted_pen_are_checked() -> None:
-    """Two strokes left and right of the direct locus, each of them free."""
+    """Two strokes, left and right of the direct locus, are free, but not the way between them."""
     left, right = line((-0.1, 0.05), (-0.1, 0.06)), line((0.2, 0.05), (0.2, 0.06))
     for stroke in (left, right):
         paths.check(table(), Machine.from_scene(table()), ("minus", "plus"), pieces.of([stroke]))
@@ -359,13 +359,13 @@ def logo() -> strokes.Drawing:
 
 
 def test_rates_are_derivatives(logo: strokes.Drawing) -> None:
-    """Tip, angles and rates of a plan belong together; the pen's speed is as told while it is down."""
+    """Tip, angles and rates of a plan are consistent; while the pen is down, its speed is as commanded."""
     made = paths.plan(table(), logo, SLOW)
     assert np.abs(made.machine.forward(made.theta[:, [0, 3]]).tip - made.tip).max() < 1e-13
     velocity = made.machine.tip_velocity(made.theta, made.omega)
     speed = np.hypot(*velocity.T)
     assert speed.max() == pytest.approx(0.1, rel=1e-2) and speed.max() < 0.1 + 1e-12
-    # Central differences miss by half a step of the acceleration where that jumps: 2 m/s2 and centripetal v^2/r, r down to 1.1 mm.
+    # At jumps of the acceleration, 2 m/s2 and centripetal v^2/r with r down to 1.1 mm, central differences err by half a step times the jump.
     assert np.abs(np.gradient(made.tip, made.time, axis=0) - velocity).max() < 0.5e-3 * (2 + 0.1**2 / 1.1e-3)
     assert made.drawn == pytest.approx(sum(piece.length for piece in pieces.of(logo.strokes) if piece.pen), rel=1e-4)
     assert not made.pen[0] and np.all(made.theta[0] == made.theta[1])
@@ -381,8 +381,8 @@ LOADED = {
 }
 
 
-def test_torques_are_those_that_move_the_unit(new: Callable[..., Instance], logo: strokes.Drawing) -> None:
-    """At rest they are those of statics; in motion the unit by co-simulation accelerates with them as it is to."""
+def test_torques_of_a_plan_move_the_unit_as_planned(new: Callable[..., Instance], logo: strokes.Drawing) -> None:
+    """At rest they equal statics; in motion they give the unit in co-simulation the planned acceleration."""
     still = table({"gravity.enabled": True, "payload.enabled": True})
     made = paths.plan(still, logo, SLOW)
     assert made.torque[0] == pytest.approx(statics.holding_torques(still, made.theta[0]), abs=1e-10)  # as below
@@ -404,7 +404,7 @@ def test_torques_are_those_that_move_the_unit(new: Callable[..., Instance], logo
 
 
 def test_accelerations_are_second_derivatives() -> None:
-    """By central differences along a circle, in each working mode of a machine without symmetry."""
+    """Against central differences along a circle, in each working mode of an asymmetric machine."""
     machine = Machine.from_values(
         {
             "base.distance": 0.25,
@@ -431,7 +431,7 @@ def test_accelerations_are_second_derivatives() -> None:
 
 
 def test_limits_are_kept_by_taking_longer(logo: strokes.Drawing) -> None:
-    """At every communication point; pieces that need no longer take none, and a limit is nearly reached."""
+    """Limits hold at every communication point; only pieces that need it take longer, and a limit is nearly reached."""
     fast = Timing("constant", 0.5, 20.0)
     free = paths.plan(table(LOADED), logo, fast)
     most = 0.6 * np.abs(free.torque).max()
@@ -467,7 +467,7 @@ def fivebar(folder: Path, fmu: Path, *words: str | Path) -> subprocess.Completed
 
 
 def test_the_command_draws(tmp_path: Path, fmu: Path) -> None:
-    """A scene that any run can have, the table, and a picture; the machine is where the table says, and near its drawing."""
+    """It writes a scene for any run, a table and a picture; the machine follows the table and stays near the drawing."""
     done = fivebar(
         tmp_path,
         fmu,
@@ -505,7 +505,7 @@ def test_the_command_draws(tmp_path: Path, fmu: Path) -> None:
 
 
 def test_one_short_line_shows_its_window(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The window about the worst place lay beyond the frame of the sheet, whose legend had a pen that is never lifted."""
+    """The window about the worst place lies within the sheet, and the legend lists a lifted pen only if there is one."""
     (tmp_path / "line.csv").write_text("x,y\n0,0\n10,0\n", encoding="utf-8")
     limits = Limits(torques=(1.0, 1.0))
     made = paths.plan(
@@ -525,7 +525,7 @@ def test_one_short_line_shows_its_window(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_the_command_refuses(tmp_path: Path, fmu: Path) -> None:
-    """One sentence, exit code 2; a drawing that is blocked is drawn with the place."""
+    """One sentence, exit code 2; the picture of a blocked drawing marks the place."""
     cases = [
         (
             ("pick_and_place", LOGO, "--at", "0.05,0.12", "--size", "0.25"),

@@ -40,7 +40,7 @@ def row(peer: str, settings: str, error: object, ms: object, note: str = "", sce
 
 ROWS = [
     row("FiveBar dop853", "1e-4", 3e-3, 0.1),
-    # A lucky result of ours: the next more expensive setting is worse.
+    # A lucky result of FiveBar: the next more expensive setting is worse.
     row("FiveBar dop853", "1e-5", 1e-7, 0.15),
     row("FiveBar dop853", "1e-6", 2e-5, 0.2),
     row("FiveBar dop853", "1e-12", 5e-10, 0.4),

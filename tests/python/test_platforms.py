@@ -275,8 +275,8 @@ def test_machines_are_followed(model: ModelDescription, expected: Printed) -> No
     items = {int(item.value): item.name for item in status.declaredType.items}
     for name in methods(model):
         (lines,) = expected[f"followed_{name}"]
-        told = [items[int(line.split()[1 + names.index(status.name)])] for line in lines if line.startswith("integers")]
-        assert told.count("following") > 50 and told[-1] == "coasting", name
+        statuses = [items[int(line.split()[1 + names.index(status.name)])] for line in lines if line.startswith("integers")]
+        assert statuses.count("following") > 50 and statuses[-1] == "coasting", name
 
 
 @on_every_machine

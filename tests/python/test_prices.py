@@ -1,4 +1,4 @@
-"""prices.py: a table of what effects cost. The times are whatever they are; the scenes, effects and counts are not."""
+"""prices.py: a table of the costs of effects. Scenes, effects and counts are checked, times are not."""
 
 import csv
 from pathlib import Path
@@ -26,7 +26,7 @@ def test_prices(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
         "damped",
         "viscous",
     )
-    # Bare in itself: measured once.
+    # The scene is bare itself: measured once.
     assert bare["us_per_substep"] == bare["bare_us_per_substep"]
     assert float(damped["substeps_per_step"]) >= 1.0 and float(damped["bare_us_per_step"]) > 0.0
     assert "| `damped` | viscous |" in capsys.readouterr().out

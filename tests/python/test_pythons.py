@@ -1,4 +1,4 @@
-"""Pythons other than the one that the tests run in: the wheel's dependencies, as pip resolves them.
+"""Dependencies of the wheel for other versions of Python, resolved by pip.
 
 Part of `cargo xtask test --platforms`, because the registry takes half a minute to answer for each.
 """
@@ -16,8 +16,8 @@ pytestmark = pytest.mark.platforms
 
 @pytest.mark.parametrize("version", ["3.12", "3.13", "3.14"])
 def test_newer_pythons_have_all_dependencies(version: str, fmu: Path, tmp_path: Path) -> None:
-    """Resolved by pip as for that Python, and not installed."""
-    # The environment of the tests has no pip; that of uv has.
+    """pip resolves them for that Python without installing them."""
+    # The environment of the tests has no pip; the environment of uv has one.
     python = REPOSITORY / "target" / "uv" / "bin" / "python"
     command = [python, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed", "--only-binary", ":all:"]
     where = ["--python-version", version, "--target", str(tmp_path / "packages"), f"{build(fmu, tmp_path)}[all]"]

@@ -1,4 +1,4 @@
-"""The accuracy report: picks, figures and page from a few made-up measurements, and what the docs show of it."""
+"""The accuracy report: picks, figures and page from a few made-up measurements, and its excerpts in the docs."""
 
 import csv
 import math
@@ -32,7 +32,7 @@ LINES = {
     "i3alp, fixed step": ("step", "s", STEPS, lambda h: 6e3 * h**2, lambda h: 2e-4 / h),
     "rk4": ("step", "s", STEPS, lambda h: 3e6 * h**4, lambda h: 4e-4 / h),
 }
-# The main one, two for each kind of motion, and seven.
+# The main picture, two for each kind of motion, and seven others.
 FIGURES = 1 + 2 * len({kind for _, kind, _ in SCENES}) + 7
 SECTIONS = [
     "run",
@@ -50,7 +50,7 @@ SECTIONS = [
 
 
 def precision() -> list[list[object]]:
-    """Rows of precision.csv; rk4 fails at its longest step, the driven scene has none beyond 1 ms."""
+    """Rows of precision.csv; rk4 fails at its longest step, the driven scene has no steps beyond 1 ms."""
     rows = []
     for scene, kind, _ in SCENES:
         for method, (knob, unit, values, error, cost) in LINES.items():
@@ -134,7 +134,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def options(folder: Path) -> list[str]:
-    """The command line; hard cases, runs and peers are not there."""
+    """The command line; tables of hard cases, runs and peers are missing."""
     nothing = folder / "nothing"
     others = [f"--{name}={nothing}" for name in ("hard-cases", "runs", "peers")]
     return [f"--folder={folder}", f"--bench={folder / 'bench'}", *others]
@@ -148,7 +148,7 @@ def page(measured: Path) -> Path:
 
 
 def marker(method: str, error: float, cost: float, ending: str = "complete", step: float | None = None) -> Marker:
-    """A marker of which only these things matter; what costs more has the smaller step, unless one is given."""
+    """A marker with the given cost and error; by default a more expensive one has a smaller step."""
     return Marker("fall", "whipping", method, "step", step or 1e-3 / cost, "s", error, cost, 1.0, 1, False, ending)
 
 
@@ -159,7 +159,7 @@ def test_the_cheapest_that_is_good_enough() -> None:
         marker("dop853", 1e-8, 3.0),
         marker("i3alp, fixed step", 1e-3, 0.2),
         marker("i3alpPrinted", math.inf, 0.1, "ended early at 0.1 s"),
-        # A lucky hit: with half the step the error is larger.
+        # A lucky result: with half the step the error is larger.
         marker("i3alp, adaptive", 1e-8, 0.1, step=2e-3),
         marker("i3alp, adaptive", 1e-2, 0.2, step=1e-3),
     ]
@@ -176,7 +176,7 @@ def test_what_a_choice_of_its_own_costs() -> None:
     found = [marker("automatic", 1e-7, 5.0), marker("dop853", 1e-8, 3.0), marker("rk4", 1e-3, 2.0)]
     assert picks.by_itself(found, reference, 1e-2) == 2.5
     assert picks.by_itself(found, reference, 1e-6) == 5.0 / 3.0
-    # Nothing of its own gets there; no fixed method does; the reference cannot tell.
+    # Three cases: no setting of the method reaches it; no fixed method reaches it; the reference is not accurate enough.
     assert picks.by_itself(found, reference, 1e-8) is picks.by_itself(found[:1], reference, 1e-6) is None
     assert picks.by_itself(found, reference, 2e-9) is None
     head, [row] = picks.ratio_table(
@@ -205,9 +205,9 @@ def test_slope_is_the_order() -> None:
         Marker("fall", "whipping", "rk4", "step", h, "s", 2e5 * h**4 + 1e-13, 1.0, 1.0, 1, False, "complete")
         for h in (1e-2, 1e-3, 5e-4, 1e-4)
     ]
-    # Round-off in the last is 1e-13 of 2e-11, which changes the slope by less than 1e-2 over two decades of steps.
+    # Round-off in the last error is 1e-13 of 2e-11: it changes the slope over two decades of steps by less than 1e-2.
     assert figures.fitted_slope(line, 1e-15) == pytest.approx(4, abs=0.01)
-    # Only two are ten times above such a reference's own error.
+    # Only two errors are ten times the reference's own error.
     assert math.isnan(figures.fitted_slope(line, 1e-8))
 
 
@@ -230,7 +230,7 @@ def test_the_page_has_its_sections_and_stands_alone(page: Path) -> None:
     assert len(ids) == len(set(ids)), "an id twice"
     assert {link for link in re.findall(r'href="#([^"]+)"', text)} <= set(ids)
     assert "{{" not in text
-    # Names of XML vocabularies are no addresses: nothing is fetched.
+    # Names of XML vocabularies are not addresses: nothing is fetched.
     outside = [url for url in re.findall(r'(?:src|href)="(https?:[^"]+)"', text)]
     assert outside == []
     assert ABOUT in text
@@ -302,7 +302,7 @@ def browser(page: Path, tmp_path: Path) -> Iterator[object]:
 
 @pytest.mark.full
 def test_in_a_browser(browser: object) -> None:
-    """Drawn on a screen and on a phone, no word or picture sticks out; contents lead to sections; folds open for the printer."""
+    """On a screen and on a phone no word or picture overflows; the contents link to sections; folded parts open for the printer."""
     assert "accuracy" in browser.title
     for width in (1280, 390):
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
@@ -320,8 +320,8 @@ def test_in_a_browser(browser: object) -> None:
     assert browser.execute_script("return [...document.querySelectorAll('details')].every(d => d.open)")
 
 
-def test_notes_cover_nothing_and_stand_once_where_they_are_drawn() -> None:
-    """Lines that run upon each other, in three panels."""
+def test_notes_in_pictures_overlap_nothing_and_appear_once() -> None:
+    """Three panels with lines that lie on each other."""
     scenes = [Reference(f"scene {i}", "smooth", 1e-16, "made up") for i in range(3)]
     markers = [
         Marker(
@@ -350,12 +350,12 @@ def test_notes_cover_nothing_and_stand_once_where_they_are_drawn() -> None:
         assert not [(a, b) for i, a in enumerate(boxes) for b in boxes[:i] if a.overlaps(b)]
         points = axes.transData.transform([(m.cost, m.error) for m in markers if m.scene == scene.scene])
         assert not [(box, point) for box in boxes for point in points if box.contains(*point)]
-        # Markers of equal settings lie upon each other, for all methods are equally good here.
+        # Markers of equal settings coincide, because all methods are equally good here.
         assert len({note.get_text() for note in notes}) == len(notes) > 3
 
 
-def test_hard_cases_stand_in_the_column_of_their_setting_or_take_the_line() -> None:
-    """Runs with settings of their own, and those of no single method, belong to no column."""
+def test_hard_cases_are_in_the_column_of_their_setting_or_span_the_line() -> None:
+    """Runs with special settings or of several methods belong to no column."""
     columns = [("i3alp", "default tolerance"), ("dop853", "tolerance 1e-10 rad")]
     made_up = [(1, "falls", *column) for column in columns]
     made_up += [
@@ -451,7 +451,7 @@ def written(folder: Path, rows: list[dict[str, str]]) -> Path:
 
 @pytest.fixture
 def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the pages that commands write into, for which they take the repository's."""
+    """A copy of the pages that the commands update, used instead of the repository's."""
     for name in (
         docs.FILE,
         "docs/notes/automatic.md",
@@ -473,7 +473,7 @@ def test_hard_cases_are_written_into_their_pages(copied: Path) -> None:
     page, notes = (
         (copied / name).read_text(encoding="utf-8") for name in (hard_cases_in_docs.PAGE, hard_cases_in_docs.NOTES)
     )
-    # The worst of cases that share a line.
+    # The worst of the cases on one line.
     assert (
         "| coaxial motors | 2000 | 2.00e-9 | 1.00e-9 | 1.00e-9 |" in page
         and "leaves at most 2.0e-16 m and 3.0e-15 m/s" in page
@@ -547,7 +547,7 @@ def test_docs_are_not_written_from_some_hard_cases(
 
 
 def test_docs_show_the_hard_cases_of_one_run() -> None:
-    """The table of the page has the numbers of those in the notes."""
+    """The table on the page has the same numbers as the tables in the notes."""
     d = hard_cases_in_docs
     page, notes = ((REPOSITORY / name).read_text(encoding="utf-8") for name in (d.PAGE, d.NOTES))
     rows = []

@@ -1,4 +1,4 @@
-"""Results of runs as scientists use them: a dictionary of columns, other libraries' tables, parts, events, notebooks."""
+"""Results of runs: a dictionary of columns, tables of other libraries, parts in time, events, notebooks."""
 
 import pickle
 from collections.abc import Callable, Mapping
@@ -40,8 +40,8 @@ def test_a_result_is_a_dictionary_of_columns(stopped: Result) -> None:
     assert stopped.get("tip.z") is None and "tip.z" not in stopped
 
 
-def test_results_are_equal_to_themselves_alone(stopped: Result) -> None:
-    """A comparison of columns has no single truth."""
+def test_a_result_equals_only_itself(stopped: Result) -> None:
+    """Comparing columns gives no single truth value."""
     again = pickle.loads(pickle.dumps(stopped))
     assert stopped in [stopped] and stopped != again and len({stopped, again, stopped}) == 2
     assert again["tip.x"].tolist() == stopped["tip.x"].tolist() and again.events == stopped.events
@@ -92,7 +92,7 @@ def test_parquet_has_units_and_descriptions(fmu: Path, tmp_path: Path) -> None:
 def test_a_package_that_is_missing_is_one_sentence(
     call: Callable[[Result], Any], package: str, stopped: Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Only what a table needs is asked for."""
+    """A table asks only for the packages that it needs."""
     installed = extras._installed
     monkeypatch.setattr(extras, "_installed", lambda name: None if name == package else installed(name))
     with pytest.raises(FiveBarError) as refusal:
@@ -104,13 +104,13 @@ def test_a_package_that_is_missing_is_one_sentence(
 
 
 def test_a_part_in_time(stopped: Result, tmp_path: Path) -> None:
-    """Both ends are included, and times as they are typed meet those of the run; pictures, tables and page go on working."""
+    """Both ends are included; typed times match the times of the run; pictures, tables and page work for a part."""
     part = stopped.between(0.1, 0.3)
     assert len(part.time) == 201 and (part.time[0], part.time[-1]) == (stopped.time[100], stopped.time[300])
     assert part["tip.x"].tolist() == stopped["tip.x"][100:301].tolist() and len(part.runs[1].time) == 201
     assert part.scene is stopped.scene and len(stopped.time) == 501
     assert part.events == [row for row in stopped.events if 0.1 <= row.time <= 0.3] != []
-    # Seconds of calls are those of the whole run.
+    # The time spent in calls is kept for the whole run.
     assert "wall time" in stopped.summary() and "wall time" not in part.summary()
     files = {file.name for file in part.save(tmp_path)}
     assert {
@@ -133,7 +133,7 @@ def test_only_the_part_with_the_end_has_the_failure(fmu: Path) -> None:
 
 
 def test_events_are_a_table(stopped: Result) -> None:
-    """Singularities, and stops as theta shows them."""
+    """Singularities, and contacts with stops as theta shows them."""
     frame = pandas.DataFrame(stopped.events)
     assert list(frame.columns) == ["time", "event", "where"] and frame["time"].is_monotonic_increasing
     singular = frame[frame["event"].isin(["direct", "inverse", "combined", "constraint"])]
@@ -144,8 +144,8 @@ def test_events_are_a_table(stopped: Result) -> None:
     assert moves["event"].tolist()[:2] == ["stop reached", "stop left"]
 
 
-def test_what_sticks_and_slips_is_an_event(fmu: Path) -> None:
-    """A motor below its breakaway, then above, then at rest again after friction has taken its energy."""
+def test_sticking_and_slipping_are_events(fmu: Path) -> None:
+    """A motor with a torque below its breakaway, then above, then at rest again after friction has taken its energy."""
     values = {
         "gravity.enabled": False,
         "friction.enabled": True,
@@ -161,9 +161,9 @@ def test_what_sticks_and_slips_is_an_event(fmu: Path) -> None:
     frame = pandas.DataFrame(result.events)
     motor = frame[frame["where"] == "left base joint"]
     assert motor["event"].tolist()[:2] == ["sticks", "slips"]
-    # The push is held from 0.101 s on, and moves the motor within the step that follows.
+    # The push acts from 0.101 s on and moves the motor within the next step.
     assert motor["time"].tolist()[:2] == pytest.approx([0, 0.102])
-    # Without friction of their own the other joints cannot stick.
+    # The other joints have no friction and cannot stick.
     assert set(frame[frame["event"].isin(["sticks", "slips"])]["where"]) == {"left base joint"}
 
 

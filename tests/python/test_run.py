@@ -1,4 +1,4 @@
-"""A run from the outside: a short scene, every file it writes, its summary and its exit code."""
+"""`fivebar run` on a short scene: files, summary, exit code."""
 
 import csv
 import json
@@ -73,7 +73,7 @@ def test_summary(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
         assert fact in process.stdout, fact
     # Not a terminal: a line every 10 % and no control characters.
     assert process.stderr.count("short (i3alp)") == 10 and "\x1b" not in process.stderr
-    # And one for each file, in the order of the list.
+    # Then a line for each file, in the order of the list.
     named = re.findall(r"^short: writing (.+)$", process.stderr, re.MULTILINE)
     assert named == re.findall(r"^  out/(\S+)  \(", process.stdout, re.MULTILINE) and "tip.png" in named
 
@@ -93,8 +93,8 @@ def test_files(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     assert all(str(Path("out") / name) in process.stdout for name in expected)
 
 
-def test_pictures_show_what_a_scene_has(fmu: Path, tmp_path: Path) -> None:
-    """Servos, stops, a plane and a changing load have pictures of their own, and the signals are in the table."""
+def test_pictures_match_the_effects_of_a_scene(fmu: Path, tmp_path: Path) -> None:
+    """Servos, stops, a plane and a changing load have pictures; the signals are in the table."""
     effects: Values = {f"{effect}.enabled": True for effect in ("servo", "stop", "contact")}
     theta, omega = np.linspace(1.5708, 1.5, 101), np.full(101, -0.708)
     signals = {"tip.fx": np.linspace(0, 0.2, 101), "servo.theta[1]": theta, "servo.omega[1]": omega}
@@ -117,7 +117,7 @@ def columns_of(file: Path) -> list[str]:
 
 
 def test_chosen_outputs_are_the_columns(fmu: Path, tmp_path: Path) -> None:
-    """By names and beginnings, with commas or one by one, inputs among them; the same pictures, page and singularities are made."""
+    """Chosen by names and prefixes, with commas or one by one, inputs included; pictures, page and singularities do not change."""
     effects: Values = {f"{effect}.enabled": True for effect in ("servo", "stop", "contact")}
     scene = replace(
         made_scene(effects, 0.1, 1e-3, Variant("fine", effects)), signals={"tip.fx": np.linspace(0, 0.2, 101)}
@@ -151,13 +151,13 @@ def test_chosen_outputs_are_the_columns(fmu: Path, tmp_path: Path) -> None:
     assert {"inputs.png", "servo.png", "stop.png", "contact.png", "difference.png", "short.html"} <= set(files)
 
 
-def test_the_columns_are_told(fmu: Path, tmp_path: Path) -> None:
-    """Unless they were chosen: how their names begin, as `--outputs` takes them, and which are inputs."""
+def test_the_columns_are_listed(fmu: Path, tmp_path: Path) -> None:
+    """Unless columns were chosen, a line lists prefixes for `--outputs`, and the inputs."""
     scene = replace(made_scene({}, 0.01), signals={"tau[2]": np.zeros(11), "tau[1]": np.ones(11)})
     every = run(fmu, tmp_path, scene, "--no-pictures")
-    [told] = [line for line in every.stdout.splitlines() if line.startswith("Columns: ")]
-    found = re.fullmatch(r"Columns: time, (.+); inputs: (.+); --outputs NAMES writes some of them", told)
-    assert found, told
+    [listed] = [line for line in every.stdout.splitlines() if line.startswith("Columns: ")]
+    found = re.fullmatch(r"Columns: time, (.+); inputs: (.+); --outputs NAMES writes some of them", listed)
+    assert found, listed
     counts = dict(re.fullmatch(r"(\w+) \((\d+)\)", part).groups() for part in found[1].split(", "))  # type: ignore[union-attr]
     columns = columns_of(tmp_path / "out" / "short.csv")
     assert found[2] == "tau[2], tau[1]" and columns[-2:] == ["tau[2]", "tau[1]"]
@@ -184,7 +184,7 @@ def test_outputs_that_there_are_not_are_refused(fmu: Path, tmp_path: Path, outpu
 
 
 def test_without_pictures(fmu: Path, tmp_path: Path) -> None:
-    """Tables and page alone; pictures of an earlier run are gone, and what draws them is not loaded."""
+    """Only tables and page are written; pictures of an earlier run are removed, and the drawing packages are not loaded."""
     assert run(fmu, tmp_path, SHORT).returncode == 0
     assert run(fmu, tmp_path, SHORT, "--no-pictures").returncode == 0
     left = {"short.csv", "short.rk4-fine.csv", "singularities.csv", "short.html"}
@@ -196,7 +196,7 @@ def test_without_pictures(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_an_earlier_run_leaves_nothing(fmu: Path, tmp_path: Path) -> None:
-    """A run removes what an earlier run of the scene wrote, and no other file; inside the current directory, paths are short."""
+    """A run removes files of an earlier run of the scene and no others; inside the current directory, printed paths are relative."""
     out = tmp_path / "out"
     assert run(fmu, tmp_path, SHORT).returncode == 0
     own = {file.name for file in out.iterdir()}
@@ -210,8 +210,8 @@ def test_an_earlier_run_leaves_nothing(fmu: Path, tmp_path: Path) -> None:
     assert f"  {Path('out') / 'short.csv'}  (" in again.stdout and str(tmp_path) not in again.stdout
 
 
-def test_runs_that_part() -> None:
-    """The summary says up to when two tips stay within 1 mm, though they meet again later."""
+def test_runs_that_diverge() -> None:
+    """The summary gives the time until which two tips stay within 1 mm, even if they meet again later."""
     time = np.arange(6) * 0.5
 
     def made_up(x: list[float]) -> Run:
@@ -253,7 +253,7 @@ def test_pictures(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
             )
             inked = np.asarray(picture.convert("L")) < 250
             for lines in (inked.any(axis=0), inked.any(axis=1)):
-                # Pads are 5 to 12 dots; text that is cut off reaches the edge.
+                # Margins are 5 to 12 dots; truncated text would reach the edge.
                 edges = lines.argmax(), lines[::-1].argmax()
                 assert min(edges) >= 2 and max(edges) < 30, f"{path.name} is cut off or has an empty edge"
 
@@ -269,8 +269,8 @@ def test_page(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     assert len(json.loads(data)["runs"]) == 2
 
 
-def test_a_run_that_fails_writes_what_it_has(fmu: Path, tmp_path: Path) -> None:
-    """The printed method without sub-steps does not survive a violent torque; exit code 1 and the FMU's sentence."""
+def test_a_run_that_fails_writes_its_part(fmu: Path, tmp_path: Path) -> None:
+    """The printed method without sub-steps fails under a violent torque: exit code 1 and the FMU's sentence."""
     process = run(fmu, tmp_path, made_scene(HOPELESS, 0.2))
     assert process.returncode == 1
     assert "ended early" in process.stdout and "0.2 s" in process.stdout
@@ -284,8 +284,8 @@ def test_an_overlay_that_fails_is_part_of_the_summary(fmu: Path, tmp_path: Path)
     assert "ended early" in process.stdout and "unreachable did not start" in process.stdout
 
 
-def test_a_step_that_fails_raises_what_there_is(fmu: Path) -> None:
-    """A short result is never returned in silence."""
+def test_a_step_that_fails_raises_an_error_with_the_part_result(fmu: Path) -> None:
+    """A partial result is never returned silently."""
     hopeless = made_scene(HOPELESS | {"solver.maxIterations": 3}, 0.2)
     with pytest.raises(fivebar.StepFailed) as failure:
         fivebar.run(hopeless)
@@ -301,7 +301,7 @@ def test_a_step_that_fails_raises_what_there_is(fmu: Path) -> None:
 
 
 def test_warnings_of_a_run_are_logged(fmu: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """By the logger of units; a program that sets up no logging has nothing on its standard error."""
+    """The logger of units gets them; without logging, standard error stays empty."""
     with caplog.at_level(logging.WARNING, "fivebar"):
         result = fivebar.run("swing", stop_time=0.01, inputs={"servo.theta[1]": ([0, 0.01], [0, 1])})
     [record] = caplog.records
@@ -318,7 +318,7 @@ def test_warnings_of_a_run_are_logged(fmu: Path, caplog: pytest.LogCaptureFixtur
 
 
 def test_another_stop_time_and_step(fmu: Path) -> None:
-    """Signals are sampled where the run now has its communication points, from their knots."""
+    """Signals are sampled from their knots at the new communication points."""
     fine = fivebar.run("servo_step", stop_time=0.05, step_size=5e-4, outputs="tip")
     assert (len(fine.time), fine.time[-1]) == (101, 0.05)
     swing = scene_of.read("pick_and_place")
@@ -326,7 +326,7 @@ def test_another_stop_time_and_step(fmu: Path) -> None:
     name = next(name for name in swing.signals if name.startswith("servo.theta"))
     course = finer.signals[name]
     assert course[::2].tolist() == pytest.approx(swing.signals[name][:701], abs=1e-12)
-    # Half way between two of the scene's own points the path goes on: it is no stair.
+    # Half way between two points of the scene the value is interpolated, not constant.
     moving = 2 * np.flatnonzero(np.diff(course[::2]))
     assert len(moving) > 100 and np.all(course[moving + 1] != course[moving])
     assert swing.replace(stop_time=1.0).stop_time == 1.0 and swing.replace() == swing.replace({})
@@ -343,7 +343,7 @@ def test_stop_time_and_step_by_the_command(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_a_scene_that_names_no_method_runs_by_automatic(fmu: Path, tmp_path: Path) -> None:
-    """Summary and label say so; what names a method, or strictly fixed steps of i3alp, keeps it."""
+    """Summary and label name it; a scene that names a method, or fixed steps of i3alp, keeps it."""
     plain = fivebar.run("swing", stop_time=0.01)
     assert plain.own.parameters["solver.method"] == METHODS["automatic"] and plain.own.label == "automatic"
     note = "  method                      automatic: it has no 'solver.method'\n"
@@ -356,7 +356,7 @@ def test_a_scene_that_names_no_method_runs_by_automatic(fmu: Path, tmp_path: Pat
     for name, given in chosen.items():
         other = fivebar.run("swing", stop_time=0.01, **given)
         assert other.own.parameters["solver.method"] == METHODS[name] and "automatic" not in other.summary()
-    # Another method for the scene of a result is one that it names.
+    # If the scene of a result is run by another method, the scene names this method.
     assert "automatic" not in fivebar.run(plain.scene, method="rk4").summary()
     for name in ("paper_torque", "paper_torque_gravity", "paper_free_fall", "fall_90_120"):
         assert scene_of.read(name).values["solver.method"] == METHODS["i3alp"]
@@ -381,7 +381,7 @@ def test_refused(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_a_scene_by_another_method(fmu: Path, tmp_path: Path) -> None:
-    """Every method by its name; one that is none is refused with those that are."""
+    """Every method works by name; an unknown name is refused with the list of methods."""
     scene = made_scene({"init.theta[2]": 2.0}, 0.2, 1e-3)
     by_name = run(fmu, tmp_path, scene, "--method", "i3alpConserving")
     assert by_name.returncode == 0, by_name.stderr
@@ -391,8 +391,8 @@ def test_a_scene_by_another_method(fmu: Path, tmp_path: Path) -> None:
     assert "fivebar run: 'solver.method' must be one of i3alp, " in unknown.stderr and 'not "euler"' in unknown.stderr
 
 
-def test_what_python_gets_is_a_mapping_of_columns(fmu: Path) -> None:
-    """Iteration asked for column 0, and `in` for ever more."""
+def test_a_result_in_python_is_a_mapping_of_columns(fmu: Path) -> None:
+    """Iteration and `in` use the names of the columns."""
     result = fivebar.run("swing")
     assert (
         list(result) == result.names
@@ -441,7 +441,7 @@ def test_a_parameter_with_a_signal_is_not_called_unknown(name: str, sentence: st
 
 @pytest.mark.parametrize(("end", "note"), [(0.6292, False), (3.7708, True)])
 def test_references_that_cannot_be_closed_are_noted(end: float, note: bool) -> None:
-    """The scene in docs/scenes.md turned the left motor until the elbows would have been 0.49 m apart."""
+    """A reference that would put the elbows 0.49 m apart gives a note."""
     page = (REPOSITORY / "docs" / "scenes.md").read_text(encoding="utf-8")
     (block,) = (
         text for text in re.findall(r"^```json\n(.*?)^```$", page, re.DOTALL | re.MULTILINE) if "servo.theta[1]" in text

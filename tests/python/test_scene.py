@@ -19,7 +19,7 @@ from made_scene import METHODS, made_scene, write
 
 
 def test_every_shipped_scene_is_read(scenes: Path, model: ModelDescription) -> None:
-    """The methods' numbers, which tests use, are those of the FMU."""
+    """The numbers of methods in the tests equal the FMU's."""
     names = {path.stem for path in scenes.glob("*.json")}
     assert names == set(fivebar.scenes()) >= {"paper_free_fall", "haptic"}
     for name in names:
@@ -66,7 +66,7 @@ def test_other_start_values_go_to_all_runs_but_where_they_have_their_own() -> No
     ],
 )
 def test_coarser(step: float, stop: float, expected: tuple[float, float, list[int]]) -> None:
-    """Whole numbers of the scene's own steps; at the end a signal is what it was there."""
+    """The step is a multiple of the scene's step; at the end a signal has its last value."""
     fine = replace(made_scene({}, 0.05, 0.01), signals={"tau[1]": np.arange(6.0)})
     coarse = fine.coarser(step, stop)
     assert (coarse.step_size, coarse.stop_time, coarse.signals["tau[1]"].tolist()) == expected
@@ -83,9 +83,9 @@ def test_a_signal_is_held_from_each_communication_point(fmu: Path) -> None:
     rest = made_scene({"gravity.enabled": False, "solver.stepSize": 1e-3}, 0.1, 0.01)
     signalled = run(replace(rest, signals={"tau[1]": ramp}), fmu)
     assert signalled["tau[1]"].tolist() == ramp.tolist()
-    # The first step is made with the value at 0, which is none: the rest stays one, but for round-off.
+    # The first step uses the value at 0, which is 0: the machine stays at rest, up to round-off.
     assert abs(signalled["omega[1]"][1]) < 1e-15 and 1e-4 < signalled["omega[1]"][2]
-    # Work put in is held torque times turned angle, step by step; 1e-6 of it is the integrator's error.
+    # Input work is constant torque times rotation, step by step; the integrator's error is 1e-6 of it.
     work = np.sum(signalled["tau[1]"][:-1] * np.diff(signalled["theta[1]"]))
     assert signalled["energy.input"][-1] == pytest.approx(work, rel=1e-6)
 
@@ -111,16 +111,16 @@ def test_the_start_has_the_signals_first_values(fmu: Path) -> None:
         ),
     ],
 )
-def test_a_machine_that_cannot_be_is_named(values: dict[str, float], sentence: str) -> None:
-    """Its mass cannot lie between its joints; a counterweight may, so that it is no error."""
-    with pytest.warns(MachineWarning) as told:
+def test_an_impossible_machine_is_named(values: dict[str, float], sentence: str) -> None:
+    """Such a mass cannot lie between the joints, but a counterweight could explain it, so this is a warning."""
+    with pytest.warns(MachineWarning) as caught:
         read = scene.parse("own", json.dumps({"description": "Own."} | values))
-    [warning] = told
+    [warning] = caught
     assert str(warning.message).startswith(f"own: {sentence}") and read.values == values
 
 
-def test_rods_and_masses_at_both_ends_can_be() -> None:
-    """The bound is that of half of the mass in each joint."""
+def test_rods_and_masses_at_both_ends_are_possible() -> None:
+    """The bound is half of the mass in each joint."""
     rod = {"link[1].length": 0.3, "link[1].com": 0.15, "link[1].mass": 0.02, "link[1].inertia": 0.02 * 0.15 * 0.15}
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -1,4 +1,4 @@
-"""Two readers of scenes, the package's for users and the crate `scenes` for programs that measure, give the same answers, good and bad."""
+"""Both readers of scenes, the package and the crate `scenes` of the measuring programs, give the same values and errors."""
 
 import json
 import random
@@ -16,7 +16,7 @@ from fivebar.errors import FiveBarError
 from fivebar.variables import of_unit
 
 MADE = 80
-"""Files that differ from shipped ones by an accident."""
+"""Number of mutated files."""
 
 ODD = (
     None, True, False, 0, -0.0, 1, -1, 3, 1.5, 1e-300, 1e300, -1e17, 2**31, 2**63, 2**64, 10**30, 0.30000000000000004, "", " ", "plus", "minus",
@@ -51,11 +51,11 @@ TEXTS = (
 
 
 OF_THE_PACKAGE = ", which the Python package fivebar reads and this reader does not"
-"""How programs that measure refuse scenes that only users have."""
+"""End of the sentence with which measuring programs refuse forms of scenes that only users need."""
 
 
 def sentences() -> Iterator[str]:
-    """Contents whose refusals scenes/src/tests.rs spells out."""
+    """Contents that scenes/src/tests.rs expects to be refused."""
     text = (REPOSITORY / "scenes" / "src" / "tests.rs").read_text(encoding="utf-8")
     for content in re.findall(r"\(json!\((\{.*\})\), &?\[", text):
         if "knots" not in content and "_u64" not in content and "\\u{" not in content:
@@ -63,7 +63,7 @@ def sentences() -> Iterator[str]:
 
 
 def accident(text: str, seed: int) -> str:
-    """A shipped scene in which something has happened: a value, a key, an object or a letter."""
+    """A shipped scene with a random mutation of a value, a key, an object or a letter."""
     chance = random.Random(seed)
     if seed % 4 == 0:
         at = chance.randrange(len(text))
@@ -95,7 +95,7 @@ def accident(text: str, seed: int) -> str:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory, scenes: Path) -> list[Path]:
-    """Shipped scenes, odd ones, and such to which something has happened."""
+    """Shipped scenes, unusual scenes, and mutated scenes."""
     shipped = [file.read_text(encoding="utf-8") for file in sorted(scenes.glob("*.json"))]
     texts = [*shipped, *TEXTS, *sentences(), *(accident(shipped[seed % len(shipped)], seed) for seed in range(MADE))]
     folder = tmp_path_factory.mktemp("scenes")
@@ -109,7 +109,7 @@ def files(tmp_path_factory: pytest.TempPathFactory, scenes: Path) -> list[Path]:
 
 
 def test_both_readers_give_the_same_answers(files: list[Path]) -> None:
-    """Scenes to the last bit; sentences but for the parser's own words, and the names that may have been meant."""
+    """Scenes are equal to the bit; errors except for the parser's own words and suggested names."""
     known = of_unit()
     answers = subprocess.run(
         ["cargo", "run", "--quiet", "--locked", "--package", "scenes", "--example", "answers", "--", *map(str, files)],
@@ -135,7 +135,7 @@ def test_both_readers_give_the_same_answers(files: list[Path]) -> None:
 
 
 def plain(sentence: str) -> str:
-    """A sentence by the parts that are ours: numbers as such, no words of the parser, no guesses."""
+    """A sentence without the parser's words and suggestions, with numbers parsed."""
     for words in ("it is not valid JSON", "it cannot be read"):
         if words in sentence:
             return sentence[: sentence.index(words) + len(words)]

@@ -1,4 +1,4 @@
-"""The schema of scenes: it is one, all shipped scenes fit it, and what the reader refuses for a key alone it refuses as well."""
+"""The schema of scenes is valid, accepts all shipped scenes, and refuses every key with a wrong value that the reader refuses."""
 
 import json
 from pathlib import Path
@@ -27,7 +27,7 @@ def test_the_command_prints_the_schema(validator: Draft202012Validator, capsys: 
 
 
 def test_scenes_of_the_repository_fit(validator: Draft202012Validator, scenes: Path) -> None:
-    """Also those that the documents show, and a key for editors."""
+    """Also scenes in the documentation, and the key `$schema` for editors."""
     files = [*scenes.glob("*.json"), REPOSITORY / "tests" / "data" / "own_machine.json"]
     given = [json.loads(file.read_text(encoding="utf-8")) for file in files]
     for page in ("docs/my-machine.md", "docs/scenes.md", "docs/kinematics.md"):
@@ -72,8 +72,8 @@ RAMP = {"linear": [[0, 0], [1, 1]]}
     ],
     ids=json.dumps,
 )  # fmt: skip
-def test_what_is_wrong_does_not_fit(validator: Draft202012Validator, wrong: dict[str, Any]) -> None:
-    """Names, types and bounds; the reader refuses the same."""
+def test_wrong_scenes_do_not_fit(validator: Draft202012Validator, wrong: dict[str, Any]) -> None:
+    """Wrong names, types and bounds; the reader refuses the same scenes."""
     content = {"description": "trial"} | wrong
     assert not validator.is_valid(content)
     with pytest.raises(FiveBarError):

@@ -1,4 +1,4 @@
-"""The plain way: simulate_fmu, and the script that docs/my-machine.md quotes."""
+"""FMPy's simulate_fmu, and the script that docs/my-machine.md quotes."""
 
 import os
 import re
@@ -30,7 +30,7 @@ def test_five_lines(fmu: Path) -> None:
 
 
 def test_the_default_experiment_is_interesting(fmu: Path) -> None:
-    """As it stands, with no argument but what to look at: the paper's free fall through many singularities, with its energy kept."""
+    """With nothing set: the paper's free fall through many singularities, with constant energy."""
     names = ["tip.y", "energy.error", "singular.passes.direct", "singular.passes.inverse[1]"]
     result = simulate_fmu(str(fmu), output=names)
     assert result["time"][0] == 0 and result["time"][-1] == pytest.approx(50)
@@ -42,11 +42,11 @@ def test_the_default_experiment_is_interesting(fmu: Path) -> None:
 
 @pytest.mark.full
 def test_fmpy_draws_a_picture(fmu: Path, outputs: list[str]) -> None:
-    """The figure of `fmpy simulate --show-plot` has a curve of each output from the beginning to the end; what moves, moves in it."""
+    """`fmpy simulate --show-plot` draws a curve for each output over the whole run."""
     figure = create_plotly_figure(simulate_fmu(str(fmu), output=outputs, stop_time=1))
     assert len(figure.data) == len(outputs) == 16
     assert all(curve.x[0] == 0 and curve.x[-1] == pytest.approx(1) for curve in figure.data)
-    # Without servos, plane and estimator the last eight stay where they are.
+    # Without servos, plane and estimator the last eight are constant.
     assert [np.ptp(curve.y) > 0 for curve in figure.data] == [True] * 8 + [False] * 8
 
 
@@ -67,7 +67,7 @@ def test_input_from_a_table(fmu: Path) -> None:
 
 
 def test_the_table_of_a_run_is_input_of_fmpy(fmu: Path, tmp_path: Path) -> None:
-    """FMPy holds inputs over a step, as a run does: the same commands give the same bits."""
+    """FMPy keeps inputs constant over a step, as a run does: equal commands give equal bits."""
     own = simulate.run("pick_and_place", fmu=fmu)
     table = read_csv(own.to_csv(tmp_path / "run.csv"))
     result = simulate_fmu(
@@ -83,7 +83,7 @@ def test_the_table_of_a_run_is_input_of_fmpy(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_docs_and_example(fmu: Path, tmp_path: Path) -> None:
-    """The Python in docs/my-machine.md and the script it names, as they stand, run and agree."""
+    """The Python code in docs/my-machine.md and its script run unchanged and agree."""
     environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
     blocks = re.findall(
         r"^```python\n(.*?)^```$",
@@ -99,7 +99,7 @@ def test_docs_and_example(fmu: Path, tmp_path: Path) -> None:
     done = run("-c", package)
     assert re.fullmatch(r"-?0\.\d+ m\n", done.stdout) and (tmp_path / "tip.png").is_file(), done.stderr
     done = run("-c", live)
-    # The PD controller holds the start.
+    # The PD controller keeps the initial posture.
     assert re.fullmatch(r"\(-0\.0\d+, 0\.2\d+\) m\n", done.stdout), done.stdout + done.stderr
     tips = []
     for arguments in (["-c", plain], [str(REPOSITORY / "examples" / "first_run.py")]):

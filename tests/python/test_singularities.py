@@ -1,4 +1,4 @@
-"""Detection of the singularities that a run met, on motions made up for the purpose."""
+"""Detection of singularities of a run, on made-up motions."""
 
 import math
 from io import StringIO
@@ -23,7 +23,7 @@ ITEMS = {1: "none", 2: "direct", 3: "inverse", 4: "combined", 5: "constraint"}
 def made_up(
     between: np.ndarray, left: np.ndarray, right: np.ndarray, sigma: np.ndarray | float = 0.1, step: float = 1e-3
 ) -> Run:
-    """A run with the given angles: distal to distal link, and each leg's distal to proximal link; `sigma` is that of Phi_q."""
+    """A run with the given angles: distal to distal link, and each leg's distal to proximal link; `sigma` belongs to Phi_q."""
     sigma = np.broadcast_to(sigma, between.shape)
     direct = np.abs(np.sin(between)) < 1e-3
     inverse = np.abs(np.sin(left) * np.sin(right)) < 1e-3
@@ -53,7 +53,7 @@ def outline(event: Event) -> str:
 
 
 def outlines(run: Run) -> list[str]:
-    """All that was found, without times."""
+    """All events, without times."""
     return [outline(event) for event in singularities.find(run)]
 
 
@@ -66,7 +66,7 @@ def test_nothing_to_find() -> None:
 
 
 def test_crossings() -> None:
-    """Fast ones, which no sample comes near to, and their times."""
+    """Fast crossings, with no sample near, are found with their times."""
     run = made_up(math.pi - 7 * (TIME - 0.40005), 5 * (TIME - 0.60005), math.pi + 5 * (TIME - 0.80005))
     found = singularities.find(run)
     near = {t: [outline(e) for e in found if abs(e.time - t) < 0.01] for t in (0.4, 0.6, 0.8)}
@@ -106,14 +106,14 @@ def test_a_start_in_a_singularity() -> None:
 
 
 def test_a_stay_is_one_event() -> None:
-    """A leg that stays folded, its sign being noise."""
+    """A leg stays folded; its sign is noise."""
     noise = 1e-9 * np.where(np.arange(1001) % 2, 1, -1)
     away = np.where((TIME > 0.2) & (TIME < 0.7), 0.0, 0.5)
     assert outlines(made_up(CALM, CALM, math.pi + noise + away)) == ["inverse touched: - - folded"]
 
 
 def test_a_constraint_singularity_is_one_event() -> None:
-    """All links pass near one line: every pair of them crosses, at times of its own, and one event names it all."""
+    """All links pass near one line: every pair crosses at a different time, and one event names all."""
     sigma = np.minimum(0.1, np.hypot(4e-4, 2 * (TIME - 0.5)))
     run = made_up(passing(10, 0.4996), math.pi + passing(12, 0.5002), passing(9, 0.4999), sigma)
     assert outlines(run) == ["constraint crossed: folded folded stretched"]

@@ -1,4 +1,4 @@
-"""The site of `cargo xtask site`: every page has a place in it; built, it works from a folder: no request leaves it, search finds, nothing is
+"""The site of `cargo xtask site`: it contains every page and works from a folder: it sends no request, search works, nothing is
 wider than a telephone."""
 
 import os
@@ -18,7 +18,7 @@ SOURCES = REPOSITORY / "xtask" / "python" / "site"
 
 
 def test_every_page_is_in_the_site() -> None:
-    """Each page of docs/ and each notebook stands once in the navigation."""
+    """Each page of docs/ and each notebook is once in the navigation."""
     listed = re.findall(
         r"^ +- (?:.*: )?([\w/-]+\.md)$", (SOURCES / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE
     )
@@ -49,7 +49,7 @@ def site(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A browser; at the end its console has no warning of any page."""
+    """A browser; at the end its console must have no warnings."""
     from browser import open_browser
 
     with open_browser((site / "my-machine.html").as_uri(), tmp_path_factory.mktemp("browser")) as driver:
@@ -64,7 +64,7 @@ NAMELESS = "return [...document.images].filter((image) => !image.alt).map((image
 @pytest.mark.nightly
 @pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1280, "dark")])
 def test_pages_fit(site: Path, browser: Any, width: int, scheme: str) -> None:
-    """No page is wider than the window, asks a network or has a picture without words."""
+    """No page is wider than the window, uses the network or has a picture without a text alternative."""
     screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     feature = {"name": "prefers-color-scheme", "value": scheme}

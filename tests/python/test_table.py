@@ -1,4 +1,4 @@
-"""Tables: what is written is read back to the bit, by FMPy too; what spreadsheets and loggers write is read, or refused with one sentence."""
+"""Tables: written ones are read to the bit, by FMPy too; tables of spreadsheets and loggers are read or refused with one sentence."""
 
 from pathlib import Path
 
@@ -44,7 +44,7 @@ ROWS = "0,1.5,0.25\n0.001,-1e-3,2\n"
         HEAD + "1700000000,1.5,0.25\n1700000000.001,-1e-3,2\n",
     ],
 )
-def test_what_programs_write_is_read(tmp_path: Path, content: str | bytes) -> None:
+def test_tables_of_other_programs_are_read(tmp_path: Path, content: str | bytes) -> None:
     """Other separators, decimal commas, units in the head and encodings make the same numbers, to the bit."""
     found = read(tmp_path, content)
     assert {name: column.tolist() for name, column in found.columns.items()} == {
@@ -86,7 +86,7 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path, content: str | bytes, se
 
 
 def test_a_table_that_is_written_is_read_to_the_bit(tmp_path: Path) -> None:
-    """By this package and by FMPy, whose reader takes a column by the whole name in the head."""
+    """This package and FMPy read it; FMPy needs the exact name in the head."""
     columns = {"time": np.arange(3) * 0.1, "theta[1]": np.array([np.pi, 5e-324, -0.1]), "tau[1]": np.array([1, 2, 3])}
     table.write_columns(tmp_path / "a.csv", columns)
     own, theirs = table.read(tmp_path / "a.csv", WANTED, "time"), fmpy.read_csv(tmp_path / "a.csv")
@@ -95,7 +95,7 @@ def test_a_table_that_is_written_is_read_to_the_bit(tmp_path: Path) -> None:
 
 
 def test_columns_are_written_as_their_values(tmp_path: Path) -> None:
-    """The shortest digits of each, whether a column changes or not: 0 and -0 differ, and NaN is equal to itself."""
+    """Each value has its shortest digits, whether the column changes or not: 0 and -0 differ, and NaN equals NaN."""
     columns = {
         "time": np.zeros(3),
         "signed": np.array([0.0, -0.0, 0.0]),

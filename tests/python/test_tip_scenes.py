@@ -1,4 +1,4 @@
-"""Scenes in the tip's coordinates: starts and references that follow by inverse kinematics, and mistakes named with their time."""
+"""Scenes in the tip's coordinates: starts and references by inverse kinematics; errors name the time."""
 
 import json
 import re
@@ -34,10 +34,10 @@ def read(content: dict[str, Any], name: str = "made") -> Scene:
 def test_the_unit_starts_there(
     new: Callable[..., Instance], working: tuple[str, str], place: tuple[float, float]
 ) -> None:
-    """The unit has the tip at the place, in the working mode, in the assembly that follows; both assemblies come up."""
+    """The unit starts with the tip at the place, in the working mode, and in the resulting assembly; both assemblies occur."""
     scene = read(UNEVEN | {"tip.x": place[0], "tip.y": place[1], "mode.working": list(working)})
     unit = new().initialise(scene.values)
-    # Some roundings of lengths below 1 m.
+    # Tolerance: some roundings of lengths below 1 m.
     assert unit.tip() == pytest.approx(place, abs=1e-14)
     theta = [unit.get(name) for name in ("theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]")]
     side, left, right = sines(theta)
@@ -55,7 +55,7 @@ def test_the_unit_starts_there(
 
 
 def test_references_are_exact() -> None:
-    """At every communication point the servos' angles put the tip on its signals, and their rates are those of the signals."""
+    """At every communication point the servos' angles put the tip on its signals, and the rates of the tip match."""
     scene = read(TABLE | {"mode.working": ["minus", "plus"], "signals": LINE})
     machine, time = Machine.from_scene(scene), scene.time
     motors, rates = (
@@ -65,17 +65,17 @@ def test_references_are_exact() -> None:
     u = np.clip((time - 0.1) / 0.5, 0, 1)
     x, dx = -0.06 + 0.22 * (10 * u**3 - 15 * u**4 + 6 * u**5), 0.22 / 0.5 * 30 * u**2 * (1 - u) ** 2
     y = 0.24 + 0.03 * np.clip(1 - np.abs(time - 0.35) / 0.25, 0, 1)
-    # At a knot the rate is that of the part that begins there.
+    # At a knot the rate belongs to the next piece.
     dy = np.where((time >= 0.1) & (time < 0.35), 0.12, np.where((time >= 0.35) & (time < 0.6), -0.12, 0.0))
     posture = machine.forward(motors)
     assert np.abs(posture.tip - np.stack([x, y], axis=-1)).max() < 1e-14
-    # Rates to 1e-13 of 0.4 m/s: some roundings, and those of times next to a knot.
+    # Rates to 1e-13 of 0.4 m/s: some roundings, also of times next to a knot.
     assert np.abs(machine.tip_velocity(posture.theta, rates) - np.stack([dx, dy], axis=-1)).max() < 1e-13
     assert [scene.values[f"init.theta[{i}]"] for i in (1, 2)] == motors[0].tolist()
 
 
 def test_the_machine_follows() -> None:
-    """Through the unit: the tip comes to the signals' end, and was never far from them."""
+    """In the unit the tip reaches the end of the signals and is never far from them."""
     scene = read(TABLE | {"signals": LINE, "payload.enabled": True})
     result = simulate.run(scene)
     assert result.failure is None
@@ -90,7 +90,7 @@ def test_a_coordinate_without_signal_stays() -> None:
 
 
 def test_start_and_signals_may_differ() -> None:
-    """A start by the tip's place, or by angles, which then say the working mode as well."""
+    """A start is given by the tip's place, or by angles, which also determine the working mode."""
     elsewhere = read(TABLE | {"tip.x": 0.05, "tip.y": 0.2, "signals": LINE})
     assert elsewhere.values["init.theta[1]"] != elsewhere.signals["servo.theta[1]"][0]
     machine = Machine.from_scene(elsewhere)
@@ -102,7 +102,7 @@ def test_start_and_signals_may_differ() -> None:
 
 
 def test_angles_are_in_the_turn_of_stops_and_springs() -> None:
-    """Angles are in [-pi, pi] unless stops or springs are elsewhere; signals go on without a jump, more than a turn if need be."""
+    """Angles are in [-pi, pi] unless stops or springs need another turn; signals continue without jumps, beyond a turn if necessary."""
     place = {"tip.x": -0.15, "tip.y": -0.1}
     plain = read(TABLE | place).values["init.theta[1]"]
     assert -np.pi <= plain < 0
@@ -133,7 +133,7 @@ def test_angles_are_in_the_turn_of_stops_and_springs() -> None:
 
 
 def test_overlays_and_changes_start_there_too() -> None:
-    """A run with other lengths starts at the place by its own; commands are those of the scene's own machine."""
+    """A run with other lengths starts at the same place; commands stay those for the scene's machine."""
     longer = {"label": "longer", "link[1].length": 0.25}
     scene = read(TABLE | {"overlay": [longer, {"label": "turned", "init.theta[1]": 2.0}], "signals": LINE})
     begun = [
@@ -153,7 +153,7 @@ def test_overlays_and_changes_start_there_too() -> None:
 
 
 def line(x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:
-    """A straight way within 0.5 s."""
+    """A straight line within 0.5 s."""
     return {
         "signals": {"tip.x": {"linear": [[0.1, x[0]], [0.6, x[1]]]}, "tip.y": {"linear": [[0.1, y[0]], [0.6, y[1]]]}}
     }

@@ -43,11 +43,11 @@ from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.soak import BEGIN, configured, machine
 
 BASE = {name: value for name, value in trials.MACHINE.items() if name != "friction.enabled"}
-"""Without dry friction, which is the dearest effect."""
+"""Unknowns without dry friction, the most expensive effect."""
 
 
 SINKING = BASE | {"servo.enabled": False, "viscous.enabled": False, "gravity.g": 0.3}
-"""Weight alone, and little of it: a motion without whips, in which masses appear by their proportions only."""
+"""A slow motion under little weight and no other force: it determines only proportions of the masses."""
 
 
 def made(
@@ -65,8 +65,8 @@ def made(
     machine = motion.Machine(library, base, parameters.parameters(names, library, base))
     machine.tolerance(1e-10)
     time, commands = trials.path(seconds)
-    told = trials.NAMES if servo else ()
-    samples = data.Samples(time, np.zeros((len(time), 2)), commands if servo else commands[:, :0], told)
+    commanded = trials.NAMES if servo else ()
+    samples = data.Samples(time, np.zeros((len(time), 2)), commands if servo else commands[:, :0], commanded)
     path = motion.Path(samples, "rate", library, trials.PERIOD)
     begin = (*trials.BEGIN, 0.0, 0.0) if servo else (2.2, 0.94, 0.0, 0.0)
     moved, _ = machine.run(path, np.array(truth), motion.Start(np.array(begin), 1))
@@ -78,7 +78,7 @@ def made(
         "time": time,
         "measured.theta[1]": angles[:, 0],
         "measured.theta[2]": angles[:, 1],
-        **dict(zip(told, commands.T, strict=False)),
+        **dict(zip(commanded, commands.T, strict=False)),
     }
 
 
@@ -309,10 +309,10 @@ def test_stages_report_their_unknowns(
     assert all(stage["after"] < 0.9 * stage["before"] for stage in stages[:3])
     # The noise of `made` is 0.1 mrad. Pieces that started in the wrong assembly would leave 2 mrad.
     assert stages[2]["after"] < 1.1e-4 and stages[-1]["after"] < 1.1e-4
-    told = capsys.readouterr()
+    printed = capsys.readouterr()
     assert (
-        re.search(r"gravity, pieces of 0\.1 s: residuals of \S+ mrad become \S+ mrad", told.out)
-        and "gravity, " in told.err
+        re.search(r"gravity, pieces of 0\.1 s: residuals of \S+ mrad become \S+ mrad", printed.out)
+        and "gravity, " in printed.err
     )
 
 
@@ -418,7 +418,7 @@ CALIBRATED = ("pick_and_place", "fall_90_120", "servo_step", "haptic", "swing")
 """Shipped scenes with stiff servos, with soft ones, and without a drive."""
 
 SCALE = ["payload.mass", "link.mass", "servo.kp", "servo.kd", "servo.limit", "viscous.b"]
-"""All torques of a machine in weightlessness: a motion tells their proportions only."""
+"""All torques of a weightless machine: its motion determines only their proportions."""
 
 WEIGHTLESS = BASE | {"gravity.enabled": False}
 
@@ -465,9 +465,9 @@ def test_a_value_at_its_bound_is_not_identified(
     file = write(tmp_path / "a.csv", made(library, names, [0.0, 1.2], 1.2, base=base))
     code, figures = calibrated(fmu, file, tmp_path, names, base=base)
     [impossible] = figures["impossible"]
-    told = capsys.readouterr()
-    assert "fivebar calibrate: warning: scene: link[4].inertia is 0.0002 kg.m2 about the centre of mass" in told.err
-    assert f"warning: {impossible}" in told.out.splitlines()
+    printed = capsys.readouterr()
+    assert "fivebar calibrate: warning: scene: link[4].inertia is 0.0002 kg.m2 about the centre of mass" in printed.err
+    assert f"warning: {impossible}" in printed.out.splitlines()
     unknowns = figures["unknowns"]
     assert code == 0 and unknowns["viscous.b"]["identified"] and not unknowns["payload.mass"]["identified"]
     assert re.fullmatch(
@@ -544,17 +544,17 @@ def test_a_twin_and_two_calibrations_find_the_machine(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The record of a scene, the motion that its calibration proposes, and the record of that: masses and payload are within their bars.
+    """A record, the motion that its calibration proposes, and a record of this motion: masses and payload are within their error bars.
 
-    The short form is of a fall that tells proportions of masses only, and of a machine whose lengths are the scene's.
+    The short form takes a fall, which determines only proportions of masses, and a machine with the scene's lengths.
     """
     exact = bool(sought_here)
     common = ["--fmu", str(fmu), *sought(sought_here)]
     first = sampled(configured(tmp_path / "first", fmu, library, name, exact=exact), library, seconds)
     # A fit that does not converge ends with a proposed motion that converges.
     assert main(["calibrate", str(first), "--out", str(tmp_path / "before"), *common]) in (0, 1, 2)
-    told = capsys.readouterr().out.splitlines()
-    (line,) = (line for line in told if line.startswith("  fivebar twin "))
+    printed = capsys.readouterr().out.splitlines()
+    (line,) = (line for line in printed if line.startswith("  fivebar twin "))
     given, length = (shlex.split(line)[k] for k in (3, 5))
     assert shlex.split(line) == ["fivebar", "twin", "--scene", given, "--seconds", length]
     # Same machine as before, except its start and, if it had none, its servos.
@@ -579,7 +579,7 @@ def test_a_twin_and_two_calibrations_find_the_machine(
 
 @pytest.mark.nightly
 def test_a_user_finds_the_machine_by_the_commands_that_are_printed(fmu: Path, tmp_path: Path) -> None:
-    """`fivebar twin`, `fivebar calibrate`, and then what that says: with the default scene and unknowns, all processes and the clock."""
+    """Runs `fivebar twin`, `fivebar calibrate` and the command that it prints, with the default scene and unknowns, in real time."""
     environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
 
     def fivebar(*words: str) -> str:
@@ -590,14 +590,14 @@ def test_a_user_finds_the_machine_by_the_commands_that_are_printed(fmu: Path, tm
         return done.stdout
 
     records = []
-    told = ["twin", "--seconds", "12"]
+    words = ["twin", "--seconds", "12"]
     for _ in range(2):
-        fivebar(*told)
+        fivebar(*words)
         (new,) = {*(tmp_path / "twin" / "runs").iterdir()} - {*records}
         records.append(new)
         output = fivebar("calibrate", str(new / "record"), "--patience", "500")
         if line := next((line for line in output.splitlines() if line.startswith("  fivebar twin ")), None):
-            told = shlex.split(line)[1:]
+            words = shlex.split(line)[1:]
     figures = json.loads((tmp_path / "calibrate" / "calibration.json").read_text(encoding="utf-8"))
     truth = json.loads((records[-1] / "twin.json").read_text(encoding="utf-8"))["machine"]["hidden"]
     for name in ("payload.mass", *(f"link[{i}].mass" for i in (1, 2, 3, 4))):
@@ -699,7 +699,7 @@ def test_an_encoder_may_count_from_another_turn(
     code, found = calibrated(fmu, write(tmp_path / "a.csv", columns | absolute), tmp_path, ["payload.mass"], base=scene)
     unknown = found["unknowns"]["payload.mass"]
     truth = 1.1 * unknown["scene"]["payload.mass"]
-    # Four standard deviations.
+    # Tolerance: four standard deviations.
     assert code == 0 and abs(unknown["value"]["payload.mass"] - truth) < 2 * unknown["bar95"]["payload.mass"]
     assert max(found["residuals_rad"]["encoder"]) < 2e-4, "noise of 1e-4 rad"
     assert [note[:17] for note in found["notes"]] == list(angles)
@@ -830,11 +830,11 @@ def test_a_fit_that_does_not_converge_ends(
     file = write(tmp_path / "a.csv", made(library, names, [1.1, 0.9], 1.5))
     common = ["--fmu", str(fmu), "--scene", str(tmp_path / "scene.json"), "--out", str(tmp_path / "out")]
     assert main(["calibrate", str(file), *common, *sought(names), "--patience", "0.05"]) == 2
-    told = capsys.readouterr()
-    assert "the fit did not converge within 0.05 s of CPU" in told.err
+    printed = capsys.readouterr()
+    assert "the fit did not converge within 0.05 s of CPU" in printed.err
     # The motion is planned for the scene's machine, whatever the record is.
-    assert "a motion that would tell payload.mass to ±" in told.out and (tmp_path / "out" / "proposal.json").is_file()
-    assert "--fmu" not in told.out
+    assert "a motion that would tell payload.mass to ±" in printed.out and (tmp_path / "out" / "proposal.json").is_file()
+    assert "--fmu" not in printed.out
 
 
 def test_the_command_that_is_printed_runs_the_same_unit(

@@ -53,7 +53,7 @@ def test_topics_of_packets() -> None:
 def test_a_page_that_draws_slowly_gets_the_newest() -> None:
     """A slow page skips samples, so that it is never behind (it was, by 2.3 s). Messages that come once, such as alarms, still arrive at once."""
 
-    async def told() -> None:
+    async def scenario() -> None:
         pace = Pace(300)
         assert pace.put(packet("est", 0))
         assert seqs(await pace.next()) == [0], "a page that does not report what it has drawn receives everything"
@@ -74,7 +74,7 @@ def test_a_page_that_draws_slowly_gets_the_newest() -> None:
         pace.tell(2)
         assert seqs(await pace.next()) == [seq for seq in range(500 - KEPT, 500) for _ in (0, 1)], "in their order"
 
-    asyncio.run(told())
+    asyncio.run(scenario())
 
 
 def test_an_estimate_comes_behind_its_sample_and_the_path_has_all_points() -> None:
@@ -83,7 +83,7 @@ def test_an_estimate_comes_behind_its_sample_and_the_path_has_all_points() -> No
     names = ("theta[1]", "theta[2]", "passive.theta[1]", "passive.theta[2]", "tip.x", "tip.y", "estimated.status")
     late, last = 20, 299
 
-    async def told() -> None:
+    async def scenario() -> None:
         pace = Pace(300)
         pace.tell(0)
         for seq in range(last + late + 1):
@@ -103,7 +103,7 @@ def test_an_estimate_comes_behind_its_sample_and_the_path_has_all_points() -> No
         pace.tell(2 * len(kept) + 1)
         assert (await pace.next())[0] == []
 
-    asyncio.run(told())
+    asyncio.run(scenario())
 
 
 @pytest.fixture
@@ -162,14 +162,14 @@ pen.stroke = function () {
   if (this.canvas.id === "canvas" && pictures.length) pictures.at(-1).push([this.strokeStyle, this.lineWidth, this.getLineDash().length > 0, path]);
   stroke.call(this);
 };"""
-"""A page that takes 300 ms for a picture, and what it draws."""
+"""A page that takes 300 ms for a picture and reports its drawing."""
 
 LAG = 8
-"""Samples by which estimates come late."""
+"""Delay of the estimates, samples."""
 
 
 async def driven(config: Config, pairs: list[tuple[Message, Message]], stop: asyncio.Event) -> None:
-    """A broker with that much of MQTT, which sends samples in real time, and each one's estimate later."""
+    """A minimal MQTT broker that sends samples in real time, and the estimate of each sample later."""
 
     async def broker(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await packet_from(reader)
@@ -240,7 +240,7 @@ def test_a_slow_page_draws_the_path_and_the_sample_of_its_estimate(config: Confi
 
 
 async def asked(port: int, *lines: str) -> bytes:
-    """Answer of the server to a request of those lines."""
+    """Answer of the server to a request with the given lines."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write("\r\n".join([*lines, "", ""]).encode())
     content = await asyncio.wait_for(reader.read(), PATIENCE)
@@ -304,7 +304,7 @@ SEEN = {
         [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
     ),
 }
-"""How linear RGB looks to those who lack a kind of cones: Machado, Oliveira and Fernandes 2009, severity 1."""
+"""Maps of linear RGB to its appearance without one kind of cones: Machado, Oliveira and Fernandes 2009, severity 1."""
 
 
 def lab(colour: str, cones: np.ndarray) -> np.ndarray:

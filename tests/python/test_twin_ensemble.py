@@ -219,7 +219,7 @@ def test_what_if(fmu: Path) -> None:
     """From a state at rest each command reaches its target, and the goal ranks the commands."""
     library = Library(fmu)
     unit = Unit.of(library)
-    told = {"servo.theta[1]": 2.2, "servo.theta[2]": 0.94, "servo.omega[1]": 0.0, "servo.omega[2]": 0.0}
+    setpoints = {"servo.theta[1]": 2.2, "servo.theta[2]": 0.94, "servo.omega[1]": 0.0, "servo.omega[2]": 0.0}
     values = {
         "base.distance": 0.1,
         "gravity.enabled": False,
@@ -227,10 +227,10 @@ def test_what_if(fmu: Path) -> None:
         "init.theta[1]": 2.2,
         "init.theta[2]": 0.94,
     }
-    unit.reset(**values, **told, **{f"servo.{k}[{i}]": v for i in (1, 2) for k, v in (("kp", 20.0), ("kd", 0.5))})
+    unit.reset(**values, **setpoints, **{f"servo.{k}[{i}]": v for i in (1, 2) for k, v in (("kp", 20.0), ("kd", 0.5))})
     unit.step_to(0.1)
     state = base64.b64encode(unit.state().to_bytes()).decode()
-    message = Message("state", "bench", 0, 20, {}, {"state": state, "clock": 0.1, "book": {"told": told}})
+    message = Message("state", "bench", 0, 20, {}, {"state": state, "clock": 0.1, "book": {"told": setpoints}})
     options = what_if.Options(Path("twin.json"), None, members=4, seconds=0.4, seed=0, times=1, scheduler=None)
     begin = unit.get("tip.x", "tip.y")
     unit.close()

@@ -168,7 +168,7 @@ def standing(gaps: list[float], **orders: float) -> list[Message]:
 
 
 STALLED = [0.005, 0.025, 0.109, *[0.005] * 200]
-"""A machine whose process comes late to its second and third sample."""
+"""A machine whose process sends the second and third sample late."""
 
 
 def test_servos_without_commands_hold_the_initial_angles(config: Config, library: Library) -> None:
@@ -467,7 +467,7 @@ ABSOLUTE = {
     "start": {},
     "servos": {"servo.enabled": True, "servo.theta[1]": -1.0, "servo.theta[2]": -2.2},
 }
-"""What tells the turn of a machine below its base, whose angles are negative."""
+"""Effects that determine the turn, for a machine below its base, with negative angles."""
 
 
 @pytest.mark.parametrize("by", ABSOLUTE)
@@ -501,15 +501,15 @@ def test_a_run_begins_in_the_turn_of_its_scene(
     assert np.abs(story.estimated["estimated.tau[1]"][100:]).max() < 0.06
     estimates = [message for message in record.messages(run.folder, "est", refused=pytest.fail)]
     assert all(-math.pi < message.fields[f"theta[{i}]"] < 0 for message in estimates for i in (1, 2))
-    told = capsys.readouterr().out.splitlines()
+    printed = capsys.readouterr().out.splitlines()
     (named,) = {
         "springs": ["spring.theta0[1] = -1"],
         "stops": ["the middle of stop.lower[1] and stop.upper[1] = -1"],
     }.get(by, ["servo.theta[1] = -1" if by == "servos" else "init.theta[1] = -1.1"])
     if lowest == -math.pi:
-        assert not told
+        assert not printed
     else:
-        (sentence,) = told
+        (sentence,) = printed
         assert f"in the turn nearest to {named} rad and measured.theta[2] begins at " in sentence
         alarms = [message.extra for message in record.messages(run.folder, "alarm", refused=pytest.fail)]
         assert [a["state"] for a in alarms if a.get("sentence") == sentence] == ["taken"]

@@ -435,8 +435,8 @@ def test_the_dashboard_names_an_encoder_that_has_frozen(tmp_path: Path, fmu: Pat
     """The cause is shown beside the status, and the run's summary counts one alarm of the encoder."""
     with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", "--csv", str(frozen(tmp_path, fmu, scenes))) as run:
         with open_browser(run.page, tmp_path) as browser:
-            told = "An encoder repeats its value while the machine moves · encoder 1 (100 %)"
-            wait_until(lambda: browser.find_element("id", "status").text == told)
+            shown_text = "An encoder repeats its value while the machine moves · encoder 1 (100 %)"
+            wait_until(lambda: browser.find_element("id", "status").text == shown_text)
         run.stop()
         assert run.finish()["causes"] == ["encoder 1"]
 
@@ -516,8 +516,8 @@ def test_the_dashboard_withstands_malformed_messages(live: Run, tmp_path: Path) 
                     PATIENCE
                 )
                 time.sleep(0.3)
-                told = browser.find_element("id", "refused").text
-                return told != before and f"refused, the last: {kind}: " in told
+                refusal = browser.find_element("id", "refused").text
+                return refusal != before and f"refused, the last: {kind}: " in refusal
 
             wait_until(refused)
         before = float(browser.find_element("id", "clock").text)
@@ -529,7 +529,7 @@ def test_the_dashboard_withstands_malformed_messages(live: Run, tmp_path: Path) 
         order(browser, ahead, lambda: "ahead of the pipeline's own" in browser.find_element("id", "order").text)
         order(browser, RESTART, lambda: browser.find_element("id", "order").text.startswith("restarting"))
         corpus = [[kind, content] for kind in GOOD for content in (of_kind(kind), *wrong_ones(kind))]
-        told = browser.execute_async_script(
+        accepted = browser.execute_async_script(
             """const [corpus, done] = arguments;
             Promise.all([import("/json-schema/validator.js"), fetch("/messages.schema.json").then((r) => r.json())]).then(([{ Validator }, { definitions }]) => {
               const of = (kind) => new Validator({ definitions, allOf: [{ $ref: `#/definitions/${kind}` }] }, "7");
@@ -537,7 +537,7 @@ def test_the_dashboard_withstands_malformed_messages(live: Run, tmp_path: Path) 
             });""",
             corpus,
         )
-        assert told == [content == of_kind(kind) for kind, content in corpus]
+        assert accepted == [content == of_kind(kind) for kind, content in corpus]
     ear.close()
 
 

@@ -29,10 +29,10 @@ from fivebar.variables import of_unit
 from twin_support import follower, recorded
 
 QUANTILE = 5.991
-"""Of chi squared with two degrees of freedom: 95 %."""
+"""95 % quantile of chi squared with two degrees of freedom."""
 
 TRUE_DISCS = {"estimator.sigma0.eccentricity": 0.0}
-"""Of a twin whose machine has no eccentric discs, and which knows it: a second of a fall then tells lengths and mounting angles."""
+"""Settings of a twin whose encoders have centred discs: a second of a fall then determines lengths and encoder offsets."""
 
 MASSES = tuple(f"link[{i}].mass" for i in (1, 2, 3, 4))
 LENGTHS = (*(f"link[{i}].length" for i in (1, 2, 3, 4)), "base.distance")
@@ -102,16 +102,16 @@ def followed(config: Config, library: Library, samples: int) -> tuple[float, flo
     for k in range(samples):
         sample = source.next()
         twin.meas(sample)
-        told = twin.estimate().fields
+        estimated = twin.estimate().fields
         if k >= samples // 2:
             # An estimate is one macro step ahead of its sample.
             off = np.array(
                 [
-                    told[name] - twin.setup.step * told[name.replace("tip.", "tip.v")] - sample.fields[name]
+                    estimated[name] - twin.setup.step * estimated[name.replace("tip.", "tip.v")] - sample.fields[name]
                     for name in TRACKED
                 ]
             )
-            xx, xy, yy = (told[f"estimated.tip.cov[{i}]"] for i in (1, 2, 3))
+            xx, xy, yy = (estimated[f"estimated.tip.cov[{i}]"] for i in (1, 2, 3))
             covariance = np.array([[xx, xy], [xy, yy]])
             errors.append(
                 (
@@ -212,15 +212,15 @@ def test_a_calibration_starts_from_encoder_offsets_and_writes_them(
     offsets = dict(zip(OFFSETS, (1e-3, -1.5e-3), strict=True))
     config = configured(tmp_path, fmu, library, "fall_90_120", exact=True)
     run = recorded(replace(config, machine=replace(config.machine, hidden=offsets)), library, 240)
-    told = json.loads((config.path / scene.SOURCE).read_text()) | offsets
-    (tmp_path / "told.json").write_text(json.dumps(told))
+    content = json.loads((config.path / scene.SOURCE).read_text()) | offsets
+    (tmp_path / "with_offsets.json").write_text(json.dumps(content))
     common = [
         "calibrate",
         str(run.folder),
         "--fmu",
         str(fmu),
         "--scene",
-        str(tmp_path / "told.json"),
+        str(tmp_path / "with_offsets.json"),
         "--out",
         str(tmp_path),
         "--no-proposal",
@@ -246,11 +246,11 @@ def test_drives_get_the_same_commands(tmp_path: Path, fmu: Path, library: Librar
         assert sample.fields == pytest.approx(other.fields, abs=1e-9)
         twin.meas(sample)
         assert twin.book is not None and twin.book.on_plan
-    told = twin.estimate().fields
+    estimated = twin.estimate().fields
     # Estimates are true angles, without offsets.
     assert (
-        told["theta[1]"] == pytest.approx(sample.fields["measured.theta[1]"] - 1e-3, abs=2e-3)
-        and told["estimated.tau.sigma[1]"] > 0
+        estimated["theta[1]"] == pytest.approx(sample.fields["measured.theta[1]"] - 1e-3, abs=2e-3)
+        and estimated["estimated.tau.sigma[1]"] > 0
     )
     for each in (before, after, twin):
         each.close()
@@ -333,10 +333,10 @@ def test_page_and_watch_have_the_same_words_for_causes(tmp_path: Path, fmu: Path
     script = (Path(dashboard.__file__).with_name("page") / "dashboard.js").read_text(encoding="utf-8")
     assert "causeOf(f, about.causes)" in script and "force at the tip" not in script
     # Numbers as in the unit: a torque at each motor, a force, each encoder, parameters, timing.
-    told = library.variable("estimated.cause").description
+    description = library.variable("estimated.cause").description
     assert (
-        "1 and 2 a torque" in told
-        and "3 a force at the tip, 4 and 5 the left and the right encoder, 6 parameters, 7 timing" in told
+        "1 and 2 a torque" in description
+        and "3 a force at the tip, 4 and 5 the left and the right encoder, 6 parameters, 7 timing" in description
     )
 
 

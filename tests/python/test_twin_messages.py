@@ -127,7 +127,7 @@ GOOD: dict[str, dict[str, Any]] = {
     | {"candidates": [{"rank": 1, "name": "stay", "failed": 0, "singular": {"probability": 0.0, "time": None}, "bands": {"tip.x": [[0.0, 0.1, 0.2]]}}]},
     "gap": {"fields": {"first": 3.0, "last": 5.0}, "of": "meas", "why": "the disk was full"},
 }  # fmt: skip
-"""A message of each kind."""
+"""A valid message of each kind."""
 
 
 @pytest.mark.parametrize("cause", [8.0, -1.0, 0.5])

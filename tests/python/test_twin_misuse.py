@@ -117,11 +117,11 @@ def test_a_refused_start_is_reported(
         if what == "open":
             fields |= {"measured.theta[1]": math.pi, "measured.theta[2]": 0.0}
         twin.received("fivebar/bench/meas", encode(replace(message, fields=fields)), message.time)
-    told = [alarm["sentence"] for alarm in ear.alarms()]
-    assert any("cannot be closed" in sentence for sentence in told), told
-    assert what != "degrees" or any("degrees?" in sentence for sentence in told)
+    sentences = [alarm["sentence"] for alarm in ear.alarms()]
+    assert any("cannot be closed" in sentence for sentence in sentences), sentences
+    assert what != "degrees" or any("degrees?" in sentence for sentence in sentences)
     # Each once, although every sample is refused: 40 alarms would hide all others.
-    assert len(told) <= 3 and capsys.readouterr().out.splitlines() == told
+    assert len(sentences) <= 3 and capsys.readouterr().out.splitlines() == sentences
     twin.follower.close()
 
 
@@ -221,11 +221,11 @@ def test_times_of_another_unit_are_never_believed(
     taken = samples(config, library, 400 // every)
     twin = Twin(config, library)
     changed = [encode(replace(m, seq=k, time=(begin + every * PERIOD_NS * k) // ns)) for k, m in enumerate(taken)]
-    told = sent(twin, [p for p in changed for _ in range(every)])
+    raised = sent(twin, [p for p in changed for _ in range(every)])
     assert twin.counts["taken"] == twin.counts["estimated"] == 0
     # Whole seconds of an unknown clock are not recognisable as such.
     question = f"are these {unit}?" if unit != "seconds" or clock != "since the machine was switched on" else ""
-    assert told and all(a["state"] == "trouble" and question in a["sentence"] for a in told), told
+    assert raised and all(a["state"] == "trouble" and question in a["sentence"] for a in raised), raised
     code, last = summed_up(config, twin, capsys)
     assert code == 1 and last.startswith("not followed: 400 of 400 samples are refused, ") and question in last
 
@@ -233,9 +233,9 @@ def test_times_of_another_unit_are_never_believed(
 def test_a_unit_that_changes_within_a_series_is_refused(config: Config, library: Library) -> None:
     taken = samples(config, library, 800)
     twin = Twin(config, library)
-    told = sent(twin, [encode(m if m.seq < 400 else replace(m, time=m.time // 10**6)) for m in taken])
+    raised = sent(twin, [encode(m if m.seq < 400 else replace(m, time=m.time // 10**6)) for m in taken])
     assert twin.counts["taken"] == 400 and twin.refusals.count > 300
-    assert [a["sentence"] for a in told if "are these milliseconds?" in a["sentence"]]
+    assert [a["sentence"] for a in raised if "are these milliseconds?" in a["sentence"]]
     twin.follower.close()
 
 
@@ -266,14 +266,14 @@ def test_a_run_with_only_refused_samples_says_so(
         assert not heard
         twin.tick(BEGIN)
         assert heard == [True], "without samples of this unit, the twin listens to other units"
-    told = sent(twin, payloads, "fivebar/other/meas" if what == "topic" else "fivebar/bench/meas")
+    raised = sent(twin, payloads, "fivebar/other/meas" if what == "topic" else "fivebar/bench/meas")
     reason = {
         "seq": "meas 0 was taken already",
         "tags": "tags are {'unit': 'other'}; the unit of this topic is 'bench'",
         "text": f"meas: measured.theta[1] is '{taken[0].fields['measured.theta[1]']}', not a number",
         "topic": "meas is of the unit 'other', not of 'bench' (--unit)",
     }[what]
-    (trouble,) = [a for a in told if a["cause"] == "samples"]
+    (trouble,) = [a for a in raised if a["cause"] == "samples"]
     assert re.fullmatch(
         rf"no sample is taken, 2\d\d are refused, the first because: {re.escape(reason)}.*", trouble["sentence"]
     )
@@ -292,8 +292,8 @@ def test_a_few_refused_samples_are_no_trouble(config: Config, library: Library) 
     """The first samples of a machine with another clock are refused; later each sample comes twice, with a malformed message."""
     twin = Twin(config, library)
     taken = [encode(replace(m, time=m.time - HOUR)) for m in samples(config, library, 300)]
-    told = sent(twin, [each for payload in taken for each in (payload, payload, b"{")])
-    assert not told and twin.counts["taken"] == 300 - CONSISTENT + 1
+    raised = sent(twin, [each for payload in taken for each in (payload, payload, b"{")])
+    assert not raised and twin.counts["taken"] == 300 - CONSISTENT + 1
     assert twin.refused == CONSISTENT - 1 + 2 * 300 and twin.refusals.count == 0
     twin.follower.close()
 
@@ -351,24 +351,24 @@ def test_a_full_disk_ends_nothing(
     wire.end()
     source.close()
     assert twin.counts["estimated"] == 1600, "estimates continue"
-    told = capsys.readouterr().out.splitlines()
+    printed = capsys.readouterr().out.splitlines()
     assert (
-        len(told) == 2
-        and told[0].startswith("nothing is recorded, No space left on device")
-        and told[1].startswith("recording again")
+        len(printed) == 2
+        and printed[0].startswith("nothing is recorded, No space left on device")
+        and printed[1].startswith("recording again")
     )
     assert not list(recorder.folder.glob("*.writing"))
     story = figures.read(recorder.folder)
-    content = figures.summarise(config, story, figures.judge(story), {}, {}, told)
+    content = figures.summarise(config, story, figures.judge(story), {}, {}, printed)
     assert content["troubles"]["count"] == 2
     result = replay(recorder.folder, fmu)
     assert not result.differing
     if waiting == MOST_WAITING:
-        assert told[1] == "recording again; nothing is lost" and not content["gaps"] and result.compared == 1600
+        assert printed[1] == "recording again; nothing is lost" and not content["gaps"] and result.compared == 1600
         return
     lost = {gap["of"]: gap for gap in content["gaps"]}
     assert set(lost) == {"meas", "est"} and all(gap["why"] == "No space left on device" for gap in lost.values())
-    assert 300 < lost["est"]["last"] - lost["est"]["first"] < 400 and f"est {lost['est']['first']} to" in told[1]
+    assert 300 < lost["est"]["last"] - lost["est"]["first"] < 400 and f"est {lost['est']['first']} to" in printed[1]
     assert any("No space left on device" in gap for gap in result.gaps) and result.compared > 900
 
 
@@ -431,8 +431,8 @@ def test_a_clock_set_ahead_and_back_refuses_no_later_samples() -> None:
         now = BEGIN + PERIOD_NS * seq
         jump = HOUR if 100 <= seq < 200 else 0
         assert admit(intake, 1000 + seq, now + jump, now) in ("new", "series")
-    anew = [admit(intake, seq, now + PERIOD_NS * (seq + 1), now + PERIOD_NS * (seq + 1)) for seq in range(100)]
-    assert anew[: CONSISTENT + 1] == ["refused"] * (CONSISTENT - 1) + ["series", "new"] and set(anew[CONSISTENT:]) == {
+    again = [admit(intake, seq, now + PERIOD_NS * (seq + 1), now + PERIOD_NS * (seq + 1)) for seq in range(100)]
+    assert again[: CONSISTENT + 1] == ["refused"] * (CONSISTENT - 1) + ["series", "new"] and set(again[CONSISTENT:]) == {
         "new"
     }
 
@@ -507,13 +507,13 @@ def test_a_command_from_another_time_names_the_wrong_clock(config: Config, libra
     for ahead in (90_000_000_000, 9_000_000_000_000_000_000 - BEGIN, 5):
         order = Message("cmd", "bench", BEGIN + ahead, 1, {}, {"command": "restart"})
         twin.received("fivebar/bench/cmd", encode(order), BEGIN)
-    told = ear.alarms()
+    answers = ear.alarms()
     assert (
-        told[0]["cause"] == "order"
-        and told[0]["order"] == BEGIN + 90_000_000_000
-        and "ahead of the pipeline's own" in told[0]["sentence"]
+        answers[0]["cause"] == "order"
+        and answers[0]["order"] == BEGIN + 90_000_000_000
+        and "ahead of the pipeline's own" in answers[0]["sentence"]
     )
-    assert [(alarm["state"], alarm["order"] - BEGIN) for alarm in told][-1] == ("taken", 5)
+    assert [(alarm["state"], alarm["order"] - BEGIN) for alarm in answers][-1] == ("taken", 5)
     assert twin.refused == 2 and twin.follower.inputs == [["cmd", 1, BEGIN + 5]]
     twin.follower.close()
 

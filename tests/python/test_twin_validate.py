@@ -70,8 +70,8 @@ def test_the_scene_s_own_machine_is_predicted(
         assert given["coverage95"] > 0.9 and list(given["others"]) == ["hold", "constant velocity"]
         for i in range(2):
             assert 5 * given["rms_mrad"][i] < min(other["rms_mrad"][i] for other in given["others"].values())
-    told = capsys.readouterr().out
-    assert "innovations" in told and "constant velocity" in told and "promise" not in told
+    printed = capsys.readouterr().out
+    assert "innovations" in printed and "constant velocity" in printed and "promise" not in printed
     written = {file.name for file in (tmp_path / "out").iterdir()}
     assert written == {"validation.json", "index.html", "errors.png", "coverage.png"}
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
@@ -150,8 +150,8 @@ def made(angle: Callable[[np.ndarray], np.ndarray], commands: bool = False) -> f
     time = PERIOD * np.arange(2400)
     for t in time.tolist():
         sample = {"measured.theta[1]": float(angle(t)), "measured.theta[2]": float(-angle(t))}
-        told = {"servo.theta[1]": float(angle(t + OFF)), "servo.theta[2]": float(-angle(t + OFF)) - 2 * math.pi}
-        story.measured.add({"time": t} | sample | (told if commands else {}))
+        commanded = {"servo.theta[1]": float(angle(t + OFF)), "servo.theta[2]": float(-angle(t + OFF)) - 2 * math.pi}
+        story.measured.add({"time": t} | sample | (commanded if commands else {}))
         errors = chance.normal(size=2)
         fields = {"theta[1]": float(angle(t)) + 2 * math.pi, "theta[2]": float(-angle(t))}
         fields |= {f"estimated.innovation[{i}]": SIGMA * errors[i - 1] for i in (1, 2)}

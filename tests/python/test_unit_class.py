@@ -22,7 +22,7 @@ from instance import Instance
 
 FALL = {"init.theta[2]": 2.0943951023931953}
 HOPELESS = {"tau[1]": 50.0, "solver.method": "i3alpPrinted", "solver.maxIterations": 1}
-"""One iteration of the printed method is not enough."""
+"""Settings with which a step fails: one iteration of the printed method is not enough."""
 
 
 @pytest.fixture(autouse=True)
@@ -33,12 +33,12 @@ def packed(fmu: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def bits(unit: Unit) -> list[float]:
-    """All that is computed."""
+    """All computed variables, as bits."""
     return unit.numbers(tuple(v.name for v in unit.variables.values() if v.causality in ("output", "local")))
 
 
-def test_what_is_pickled_of_another_unit_is_refused(fmu: Path, tmp_path: Path) -> None:
-    """A library is opened again by its file, or is the shipped one; blocks of variables keep their names' references."""
+def test_pickles_of_another_unit_are_refused(fmu: Path, tmp_path: Path) -> None:
+    """A pickled library is its file or the shipped one; pickled blocks of variables keep value references, so the unit must match."""
     moved = tmp_path / "moved.fmu"
     moved.write_bytes(fmu.read_bytes())
     made = library.Library(moved)
@@ -72,7 +72,7 @@ def test_it_is_the_unit_to_the_bit(model: ModelDescription, directory: str) -> N
 
 
 def test_a_scene_and_values_are_start_values() -> None:
-    """Values go in before initialisation, in place of the scene's; enumerations by name or number; arrays whole."""
+    """Values replace the scene's before initialisation; enumerations by name or number; arrays as a whole."""
     with Unit("pick_and_place", **{"payload.mass": 0.1, "solver.method": "automatic"}) as unit:
         assert unit["payload.mass"] == 0.1 and unit["solver.method"] == "automatic" and unit["servo.enabled"] is True
         # A signal of the scene has its first value.
@@ -82,7 +82,7 @@ def test_a_scene_and_values_are_start_values() -> None:
         **{"solver.method": 6, "viscous.enabled": np.bool_(True), "viscous.b": np.full(5, 2e-3, np.float32)}
     ) as unit:
         assert unit["solver.method"] == "automatic" and unit["viscous.b"].shape == (5,)
-    # As `run` does, and its method is that of its changed values.
+    # As in `run`; changed values may choose the method.
     with Unit("swing") as unit:
         assert unit["solver.method"] == "automatic"
         for time in (run := fivebar.run("swing", stop_time=0.1)).time[1:].tolist():
@@ -131,7 +131,7 @@ def test_what_has_no_such_name_or_type(name: str, value: object, sentence: str) 
     [("link[1].mass", -1.0, True), ("tau[1]", math.nan, True), ("link[1].mass", 0.02, False), ("tip.x", 0.1, True)],
 )
 def test_refusals_are_the_units_own_sentences(name: str, value: float, start: bool) -> None:
-    """Out of bounds, not a number, fixed after the start, computed; nothing changes."""
+    """Values out of bounds, not a number, fixed after the start, or computed are refused; nothing changes."""
     with Unit() as unit:
         before = bits(unit)
         with pytest.raises(UnitError, match=rf"^fmi2SetReal: .*{name.replace('[', '.').replace(']', '.')}") as refused:
@@ -163,8 +163,8 @@ def test_a_step_that_cannot_be_done_leaves_the_unit_as_it_was() -> None:
         assert not isinstance(refused.value, StepFailed)
 
 
-def test_states_go_back_and_on_to_the_same_bits() -> None:
-    """As handles, many at once, into another unit; and as bytes, which outlive the unit."""
+def test_restored_states_continue_to_the_same_bits() -> None:
+    """States as handles, many at once, also into another unit; and as bytes, which outlive the unit."""
     with Unit(**FALL) as unit, Unit() as other:
         states = []
         for _ in range(3):
@@ -213,7 +213,7 @@ def test_bytes_go_on_in_another_process(tmp_path: Path) -> None:
 
 
 def test_derivatives_are_differences() -> None:
-    """Of accelerations by torques and rates, as the matrix of central differences."""
+    """Derivatives of accelerations by torques and rates equal the matrix of central differences."""
     start, step = {"init.theta": (1.2, 2.0), "init.omega": (0.5, 0.0)}, 1e-5
 
     def accelerations(changes: dict[str, float]) -> np.ndarray:
@@ -226,7 +226,7 @@ def test_derivatives_are_differences() -> None:
         assert np.array_equal(unit.derivative("alpha", "tau"), found[:2])
     for j in (1, 2):
         above, below = (accelerations({f"tau[{j}]": sign * step}) for sign in (1, -1))
-        # Differences: step² times third derivatives of some 1e3, and ε·1e2/step.
+        # Errors of differences: step² times third derivatives of some 1e3, and ε·1e2/step.
         assert found[:, j - 1] == pytest.approx((above - below) / (2 * step), rel=1e-6, abs=1e-6)
 
 
@@ -270,8 +270,8 @@ def test_the_files_go_with_the_process(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_threads_have_the_bits_that_they_have_alone() -> None:
-    """Units side by side; and one unit whose calls wait for each other."""
+def test_threads_give_the_same_bits_as_alone() -> None:
+    """Several units side by side, and one unit that serialises calls."""
 
     def run(angle: float, found: dict[float, list[float]]) -> None:
         with Unit(**{"init.theta[2]": angle}) as unit:
@@ -302,8 +302,8 @@ def test_threads_have_the_bits_that_they_have_alone() -> None:
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this platform")
-def test_both_sides_of_a_fork_go_on() -> None:
-    """Each with its copy, to the same bits; the child leaves the files to its parent, and may make units of its own."""
+def test_both_sides_of_a_fork_continue() -> None:
+    """Each side has a copy and computes the same bits; the child leaves the files to its parent and may make new units."""
 
     def child(sent: "multiprocessing.connection.Connection") -> None:
         unit.step(0.1)
@@ -317,7 +317,7 @@ def test_both_sides_of_a_fork_go_on() -> None:
         receiving, sending = multiprocessing.Pipe()
         process = multiprocessing.get_context("fork").Process(target=child, args=(sending,))
         process.start()
-        # So that `recv` fails, and does not wait, if the child ends early.
+        # If the child ends early, `recv` fails instead of waiting.
         sending.close()
         there = receiving.recv()
         process.join()

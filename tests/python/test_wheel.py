@@ -29,7 +29,7 @@ def wheel(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class User:
-    """Somebody with Python alone, in an empty folder."""
+    """A user with only Python, in an empty folder."""
 
     def __init__(self, folder: Path, with_pip: bool):
         self.home, self.folder, self.environment = folder / "home", folder / "Übung eins", folder / "umgebung"
@@ -39,7 +39,7 @@ class User:
         venv.create(self.environment, with_pip=with_pip)
 
     def run(self, *command: str, code: int | None = 0) -> "subprocess.CompletedProcess[str]":
-        """Runs a program of the environment; nothing else is on PATH. `code` is the exit code that it has to have, None for any."""
+        """Runs a program of the environment; nothing else is on PATH. `code` is the required exit code, None for any."""
         variables = {
             "PATH": str(self.programs),
             "HOME": str(self.home),
@@ -47,7 +47,7 @@ class User:
             "XDG_CACHE_HOME": str(self.cache),
             "LANG": "C.UTF-8",
         }
-        # The machine decides where packages come from.
+        # Settings of the machine choose the package index.
         variables |= {
             name: value for name, value in os.environ.items() if name.startswith(("PIP_", "SSL_", "HTTPS_", "https_"))
         }
@@ -71,13 +71,13 @@ class User:
         return done.stdout if code == 0 else done.stderr
 
     def made(self) -> set[str]:
-        """Names in the folder, and that nothing was written beside it."""
+        """Names in the folder; checks that nothing was written outside."""
         assert not list(self.home.iterdir()) and not list(self.temporary.iterdir())
         return {path.name for path in self.folder.iterdir()}
 
 
 def made_user(folder: Path, wheel: Path, extra: str) -> User:
-    """With the wheel installed by uv, which takes the pinned packages from its cache where it can."""
+    """A user with the wheel installed by uv, which takes pinned packages from its cache if possible."""
     user = User(folder, with_pip=False)
     lock = REPOSITORY / "python" / "lock.txt"
     python = user.environment / "bin" / "python"
@@ -98,7 +98,7 @@ def made_user(folder: Path, wheel: Path, extra: str) -> User:
 
 @pytest.fixture(scope="module")
 def user(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> User:
-    """With all extras."""
+    """A user with all extras."""
     return made_user(tmp_path_factory.mktemp("user"), wheel, "[all]")
 
 
@@ -112,8 +112,8 @@ def test_from_the_wheel_to_a_picture_by_pip(tmp_path: Path, wheel: Path) -> None
     assert "calibrate" in user.fivebar("calibrate", "--help")
 
 
-def test_what_is_missing_is_one_sentence(tmp_path: Path, wheel: Path) -> None:
-    """Without extras a scene is run, and subcommands of the extras say what they need."""
+def test_missing_extras_are_named_in_one_sentence(tmp_path: Path, wheel: Path) -> None:
+    """Without extras a scene runs, and subcommands of extras name the missing packages."""
     user = made_user(tmp_path, wheel, "")
     text = user.fivebar("run", "fall_90_120")
     assert user.made() == {"fall_90_120"} and {"tip.png", "fall_90_120.csv", "fall_90_120.html"} <= set(
@@ -164,7 +164,7 @@ def test_units(user: User) -> None:
 
 
 def test_the_twin_and_what_belongs_to_it(user: User) -> None:
-    """Some seconds of the twin; commands from its state; its record again, calibrated; members; samples without a clock; a broker's load."""
+    """Some seconds of the twin, then what-if, replay, calibrate, ensemble, soak and load."""
     running = subprocess.Popen(
         [user.environment / "bin" / "fivebar", "twin", "--seconds", "inf"], cwd=user.folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         env={"PATH": str(user.programs), "HOME": str(user.home), "TMPDIR": str(user.temporary), "XDG_CACHE_HOME": str(user.cache), "LANG": "C.UTF-8"},
@@ -179,21 +179,21 @@ def test_the_twin_and_what_belongs_to_it(user: User) -> None:
     finally:
         running.send_signal(signal.SIGINT)
         text = running.communicate(timeout=PATIENCE)[0]
-    # 3: busy machines forecast late.
+    # Exit code 3: on a busy machine forecasts come late.
     assert running.returncode in (0, 3), text
     assert json.loads((user.folder / "twin" / "summary.json").read_text())["samples"]["estimated"] > 1000
     assert " 0 differ" in user.fivebar("replay", record[1])
     user.run("fivebar", "calibrate", record[1], "--parameters", "payload.mass", "--seconds", "2", "--no-proposal")
     user.fivebar("ensemble", "--members", "50", "--workers", "1", "--seconds", "0.2")
     user.fivebar("soak", "--hours", "0.002")
-    # A broker on a busy machine may carry none in time.
+    # On a busy machine the broker may be too slow for a single machine.
     load = user.run("fivebar", "load", "--most", "1", "--seconds", "1", code=None)
     assert load.returncode in (0, 1) and "carried" in load.stdout
     assert {"twin", "calibrate", "ensemble"} <= user.made()
 
 
 def test_the_live_page(user: User, wheel: Path) -> None:
-    """The page that the wheel carries, or a sentence if it was built without."""
+    """The page in the wheel opens; a wheel without it says so in one sentence."""
     with zipfile.ZipFile(wheel) as archive:
         has_page = "fivebar/shipped/fivebar.html" in archive.namelist()
     if has_page:

@@ -25,7 +25,7 @@ OUT: Working = ("minus", "plus")
 
 
 def made(values: dict[str, float | bool]) -> Scene:
-    """A scene of these values."""
+    """A scene with the given values."""
     return Scene("made", "trial", 1.0, 1e-3, [Variant("made", dict(values))])
 
 
@@ -66,7 +66,7 @@ def discs(values: dict[str, float | bool], working: Working) -> list[workspace.D
 
 
 def test_known_discs() -> None:
-    """The paper's machine has exact discs; DexTAR's above the motors ends at Watt's curve on the axis."""
+    """The paper's machine has exactly known discs; DexTAR's disc above the motors ends at Watt's curve on the axis."""
     below, above = discs({}, OUT)
     assert (above.assembly, below.assembly) == ("plus", "minus")
     assert [above.x, above.y, above.radius] == pytest.approx([0.21, 0.28, 0.07], abs=1e-6)
@@ -76,7 +76,7 @@ def test_known_discs() -> None:
 
 
 def test_discs_hold_no_singularity(survey: workspace.Map) -> None:
-    """Every place in a disc is reached, in its assembly, and within the stops; discs of one mode and assembly do not overlap."""
+    """Every place in a disc is reachable in its assembly and within the stops; discs of one mode and assembly do not overlap."""
     random = np.random.default_rng(4)
     for mode in survey.modes:
         few = np.count_nonzero(mode.reached & mode.within_stops) < 50
@@ -111,7 +111,7 @@ def test_no_disc_is_larger(survey: workspace.Map) -> None:
 
 
 def test_rings_take_no_longer() -> None:
-    """Coaxial motors with uneven legs have a ring of equally good places between circles of singularities: discs of half its width."""
+    """Coaxial motors with unequal legs have a ring between circles of singularities: all discs of half its width are equally good."""
     lengths = {"link[1].length": 0.5, "link[2].length": 0.2, "link[3].length": 0.3, "link[4].length": 0.4}
     (mode,) = workspace.compute(made({"base.distance": 0.0, **lengths}), cells=40, modes=[OUT]).modes
     radii = sorted({circle.radius for circle in Machine.from_scene(made(lengths)).inverse_singularities()})
@@ -124,7 +124,7 @@ def test_rings_take_no_longer() -> None:
 
 
 def test_curves_belong_to_their_mode(survey: workspace.Map) -> None:
-    """Postures along a curve are in the mode, singular or at a stop, and what inverse kinematics finds there."""
+    """Postures along a curve belong to the mode, are singular or at a stop, and equal inverse kinematics."""
     for mode in survey.modes:
         for curve in mode.curves:
             posture, reached = survey.machine.field(curve.tip, mode.working)
@@ -143,7 +143,7 @@ def test_curves_belong_to_their_mode(survey: workspace.Map) -> None:
 
 
 def test_stops_count_turns() -> None:
-    """A motor is within its stops in the turn that suits best; stops a turn or more apart are none."""
+    """A motor may be within its stops in any turn; stops a turn or more apart do not limit it."""
     scene = made(
         {"stop.enabled": True, "stop.lower[1]": 3.0, "stop.upper[1]": 4.0, "stop.lower[2]": -4.0, "stop.upper[2]": 4.0}
     )
@@ -189,7 +189,7 @@ LOADED = UNEVEN | {
 
 @pytest.mark.parametrize("values", [{}, LOADED], ids=["start values", "loaded"])
 def test_the_unit_stays_at_rest(new: Callable[..., Instance], values: dict[str, float | bool]) -> None:
-    """With the holding torques, and with a force that more of them balance, nothing accelerates."""
+    """With the holding torques, also under a force at the tip, nothing accelerates."""
     scene, instance = made(values), new()
     machine, random = Machine.from_scene(scene), np.random.default_rng(8)
     for _ in range(30):
@@ -198,7 +198,7 @@ def test_the_unit_stays_at_rest(new: Callable[..., Instance], values: dict[str, 
         force = random.uniform(-2, 2, 2)
         torque = statics.holding_torques(scene, posture.theta) + machine.motor_torques(posture.theta, force)
         instance.slave.reset()
-        # Springs count whole turns; statics takes the turn that is nearest to their rest.
+        # Springs count whole turns; statics takes the turn nearest to their rest angle.
         turns = [
             2 * np.pi * np.round((float(scene[f"spring.theta0[{i + 1}]"]) - posture.motors[i]) / (2 * np.pi))
             for i in (0, 1)
@@ -208,12 +208,12 @@ def test_the_unit_stays_at_rest(new: Callable[..., Instance], values: dict[str, 
         }
         inputs = {"tau[1]": torque[0], "tau[2]": torque[1], "tip.fx": -force[0], "tip.fy": -force[1]}
         instance.initialise({**values, **starts, **inputs})
-        # Without these torques it would be some hundred rad/s2.
+        # Without these torques the acceleration is some hundred rad/s2.
         assert max(abs(instance.get("alpha[1]")), abs(instance.get("alpha[2]"))) < 1e-8 / abs(sines(posture.theta)[0])
 
 
-def test_tip_force_is_what_all_directions_allow() -> None:
-    """The torques that its force needs are within the limits in every direction, and at one of them in the worst."""
+def test_tip_force_is_possible_in_all_directions() -> None:
+    """The torques for this force are within the limits in every direction, and at a limit in the worst one."""
     scene, limits = made(LOADED), (1.5, 0.9)
     machine = Machine.from_scene(scene)
     tips = np.random.default_rng(9).uniform((0.0, 0.15), (machine.distance, 0.3), (50, 2))
@@ -241,7 +241,7 @@ def test_tip_force_of_any_shape() -> None:
         np.shape(statics.tip_force(scene, theta[0, 0], (1.0, 2.0))) == ()
         and statics.tip_force(scene, theta[0, 0], (1.0, 2.0)) == forces[0, 0]
     )
-    # A left leg that is stretched puts no load on its motor.
+    # A stretched left leg puts no load on its motor.
     assert statics.tip_force(scene, (0.0, 0.0, 0.5, 0.7), (1e9, 1e9)) > 0
 
 
@@ -256,7 +256,7 @@ def test_tip_force_ends_at_direct_singularities() -> None:
 
 
 def test_pictures_and_tables(tmp_path: Path) -> None:
-    """Every file is there, the same twice; tables are numbers under names with units; pictures are of modest size."""
+    """All files exist and are equal in a second run; tables have names with units; pictures are of modest size."""
     values = MACHINES["stopped"] | {"servo.enabled": True, "payload.enabled": True}
     map_ = workspace.compute(made(values), cells=60, modes=WORKING_MODES[:2])
     for folder in (tmp_path / "a", tmp_path / "b"):
@@ -289,7 +289,7 @@ def test_pictures_and_tables(tmp_path: Path) -> None:
 
 
 def test_the_command_maps_a_scene(tmp_path: Path, fmu: Path) -> None:
-    """As a user runs it: pictures that show something, the scene's motion where it was; what is wrong is one sentence."""
+    """As a user runs it: pictures are not empty and show the scene's motion; errors are one sentence."""
     run = lambda *words: subprocess.run(
         [sys.executable, "-m", "fivebar", "map", *words],
         cwd=tmp_path,
@@ -320,7 +320,7 @@ def test_the_command_maps_a_scene(tmp_path: Path, fmu: Path) -> None:
 
 
 def test_the_page_holds_the_map(tmp_path: Path) -> None:
-    """Fields, loci and discs of every mode are in the page, and nothing is fetched from elsewhere."""
+    """The page contains fields, loci and discs of every mode, and loads nothing else."""
     values = MACHINES["stopped"] | {"servo.enabled": True}
     survey = workspace.compute(made(values), cells=60)
     map_page.write(survey, tmp_path / "map.html")
@@ -340,7 +340,7 @@ def test_the_page_holds_the_map(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("values", MACHINES.values(), ids=MACHINES)
 def test_outlines_of_pages_are_the_loci(values: dict[str, float | bool]) -> None:
-    """Each point of a mode's curves is a direct singularity of that mode, to the digits of a page."""
+    """Each point of a mode's curves is a direct singularity of that mode, to the digits on the page."""
     machine = Machine.from_scene(made(values))
     shown = outline(machine)
     assert [[ring["inner"], ring["outer"]] for ring in shown["rings"]] == machine.reach.tolist()
@@ -350,12 +350,12 @@ def test_outlines_of_pages_are_the_loci(values: dict[str, float | bool]) -> None
         for curve in curves:
             posture, reached = machine.field(np.array(curve), working)
             inner = reached & (np.abs(sines(posture.theta)[:, 1:]).min(axis=-1) > 0.05)
-            # Places are rounded to 1e-5 of the size, and their sines change by some 1/0.05 per length.
+            # Places are rounded to 1e-5 of the size; the sines change by some 1/0.05 per length.
             assert np.abs(sines(posture.theta)[inner, 0]).max(initial=0) < 2e-3
 
 
 def test_path_by_modes() -> None:
-    """A motion is told apart by working mode."""
+    """A motion is split by working mode."""
     machine = Machine.from_scene(made({}))
     theta = np.concatenate(
         [machine.inverse([(0.2, 0.3), (0.21, 0.3)], working).theta for working in (OUT, ("plus", "plus"))]

@@ -1,4 +1,4 @@
-"""docs/your-tool.md: the scripts that can be run here run as they stand, and say the same."""
+"""docs/your-tool.md: scripts for programs available here run unchanged and print the stated output."""
 
 import re
 import shutil
@@ -19,7 +19,7 @@ BLOCKS = re.findall(
 
 
 def tip(tool: str, fmu: Path, folder: Path) -> list[float]:
-    """The two numbers on the last line of a script's output that holds nothing else: masters log to the same stream, with times."""
+    """The two numbers on the last line that has only two numbers; masters log to the same stream, with times."""
     shutil.copy(fmu, folder / "FiveBar.fmu")
     done = subprocess.run(
         [sys.executable, "-c", dict(BLOCKS)[tool]], cwd=folder, capture_output=True, text=True, check=False

@@ -1,4 +1,4 @@
-"""Makes reference trajectories of scenes by two independent programs and keeps what they agree on; README.md says how to run it.
+"""Makes reference trajectories of scenes by two independent programs and keeps the digits on which they agree; README.md explains its use.
 
 python make.py [SCENE ...]
 """
@@ -18,7 +18,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[3]
 MODEL = ROOT / "modelDescription/modelDescription.xml"
 
-# Scenes, and how long the reference is, in tenths of a second.
+# Scenes and durations of their references, in tenths of a second.
 SCENES = {
     "fall_90_120": 20,
     "friction_fall": 10,
@@ -36,10 +36,10 @@ SCENES = {
     "flat_table": 30,
     "paper_free_fall": 20,
     "paper_torque_gravity": 25,
-    "singular_crossing": 4,  # to before its vertex, at 0.5 s
+    "singular_crossing": 4,  # until before its vertex, at 0.5 s
 }
 
-# Steps per millisecond of scenes with friction that sticks, which sticking.c alone knows.
+# Steps per millisecond of scenes with sticking friction, which only sticking.c can compute.
 STICKING = {
     "friction_fall_stick": 10,
     "run_down_stick": 10,
@@ -47,13 +47,13 @@ STICKING = {
     "stick_slip": 40,
 }
 
-# Local errors per step of sticking.c, which is to agree with itself to this.
+# Tolerances for local errors of sticking.c: its results with both must agree.
 TOLERANCES = ("1e-20", "1e-25")
 AGREED = mpmath.mpf("1e-13")
 
-# Local error per step of midpoint.c: its result agrees with that at 1e-24 to more digits than are asked for.
+# Local error per step of midpoint.c: the result agrees with the result for 1e-24 to more digits than required.
 TOLERANCE = "1e-26"
-# A reference must agree to at least this.
+# Least number of digits on which both programs must agree.
 WANTED = mpmath.mpf("1e-15")
 COLUMNS = "t,Qx,Qy,th1,th2,th3,th4,w1,w2,w3,w4"
 
@@ -63,7 +63,7 @@ def main() -> int:
     parser.add_argument(
         "scenes", nargs="*", default=[*SCENES, *STICKING], help="scenes of the tables in this file; all of them"
     )
-    mpmath.mp.dps = 80  # so that a signal at its last knot is the nearest double, too, and not round-off
+    mpmath.mp.dps = 80  # With 80 digits a signal at its last knot is the nearest double, too.
     with tempfile.TemporaryDirectory() as folder:
         midpoint = Path(folder) / "midpoint"
         sources = [HERE / "midpoint.c", HERE / "machine.c"]
@@ -89,7 +89,7 @@ def make(scene: str, midpoint: Path) -> None:
 
 
 def make_sticking(scene: str, sticking: Path) -> None:
-    """Runs one program at two tolerances on a scene with friction that sticks and writes its file."""
+    """Runs sticking.c at two tolerances on a scene with sticking friction and writes its file."""
     tenths, text = str(STICKING[scene]), scene_text(scene, STICKING[scene])
     rough, fine = (run([sticking, tenths, tolerance], text) for tolerance in TOLERANCES)
     digits = agreed_digits(scene, rough, fine, AGREED)
@@ -98,7 +98,7 @@ def make_sticking(scene: str, sticking: Path) -> None:
 
 
 def scene_text(scene: str, tenths: int) -> str:
-    """Input of the programs: values of variables, then the inputs that change by the millisecond."""
+    """Input of the programs: values of variables, then the changing inputs for each millisecond."""
     own = own_values(scene)
     signals = own.get("signals", {})
     items = enumeration_items()
@@ -112,7 +112,7 @@ def scene_text(scene: str, tenths: int) -> str:
 
 
 def agreed_digits(scene: str, first: list, second: list, wanted: mpmath.mpf) -> int:
-    """To how many digits all rows agree; refuses too few."""
+    """The number of digits on which all rows agree; refuses too few."""
     difference = max(
         abs(a - b) / (1 + abs(a)) for x, y in zip(first, second, strict=True) for a, b in zip(x, y, strict=True)
     )
@@ -125,7 +125,7 @@ def agreed_digits(scene: str, first: list, second: list, wanted: mpmath.mpf) -> 
 
 
 def write(scene: str, how: str, rows: list) -> None:
-    """The file of a scene: how it was made, what the scene sets, and the rows."""
+    """Writes the file of a scene: a head with its origin and the scene's values, then the rows."""
     own = own_values(scene)
     head = [
         f"scene {scene}, set below, everything else as in modelDescription.xml; each number is the double nearest to what is written.",
@@ -159,7 +159,7 @@ def start_values() -> dict[str, float]:
 
 
 def enumeration_items() -> dict[str, dict[str, int]]:
-    """Of every variable that is an enumeration: names of its items to their values."""
+    """For every enumeration variable: values of its items by name."""
     model = ET.parse(MODEL)
     types = {
         kind.get("name"): {item.get("name"): int(item.get("value")) for item in kind.iter("Item")}
@@ -170,7 +170,7 @@ def enumeration_items() -> dict[str, dict[str, int]]:
 
 
 def own_values(scene: str) -> dict[str, float | bool | str | dict]:
-    """Values that the scene sets; enumerations by the names of their items, and its signals. How it is solved is no part of its motion."""
+    """Values and signals of the scene, without solver settings; enumerations by the names of their items."""
     content = json.loads((ROOT / f"scenes/{scene}.json").read_text(encoding="utf-8"))
     known = {"signals", *start_values()}
     own = {name: value for name, value in content.items() if name in known and not name.startswith("solver.")}
@@ -186,12 +186,12 @@ def own_values(scene: str) -> dict[str, float | bool | str | dict]:
 
 
 def signal_at(signals: dict[str, dict], name: str, time: mpmath.mpf) -> mpmath.mpf:
-    """An input that changes, as scenes/src/signal.rs describes it, at a time in s."""
+    """The value of a signal, as in scenes/src/signal.rs, at a time in s."""
     ((kind, value),) = signals[name].items()
     rate = kind == "rateOf"
     if rate:
         ((kind, value),) = signals[value].items()
-    if kind == "steps":  # a nanosecond early, as there
+    if kind == "steps":  # a nanosecond early, as in scenes/src/signal.rs
         return next(
             (mpmath.mpf(knot[1]) for knot in reversed(value) if knot[0] - 1e-9 <= time), mpmath.mpf(value[0][1])
         )
@@ -207,7 +207,7 @@ def signal_at(signals: dict[str, dict], name: str, time: mpmath.mpf) -> mpmath.m
 
 
 def run(command: list, text: str) -> list[list[mpmath.mpf]]:
-    """The rows that a program prints for a scene."""
+    """Runs a program on a scene and returns its rows."""
     printed = subprocess.run(list(map(str, command)), input=text, text=True, stdout=subprocess.PIPE, check=True).stdout
     rows = [[mpmath.mpf(x) for x in line.split(",")] for line in printed.splitlines()]
     if not all(mpmath.isfinite(x) for row in rows for x in row):

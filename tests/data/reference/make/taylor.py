@@ -15,18 +15,18 @@ import mpmath
 import numpy as np
 
 FP = hy.real128
-# Twice what is wanted of the start: at a direct singularity, where paper scenes start, the elbow's angle keeps half the digits.
+# Twice the needed digits: paper scenes start at a direct singularity, where the elbow's angle keeps only half of the digits.
 mpmath.mp.dps = 80
 JOINTS = ((0, None), (1, 0), (1, 2), (2, 3), (3, None))
 
 
 def quad(x) -> FP:
-    """A number of mpmath or a double in quadruple precision."""
+    """Converts a number of mpmath, or a double, to quadruple precision."""
     return FP(mpmath.nstr(mpmath.mpf(x), 37))
 
 
 class Scene(dict):
-    """Variable name to its double, as an exact mpmath number; and the inputs that change, by the millisecond."""
+    """Values by variable name, as exact mpmath numbers of doubles, and the changing inputs for each millisecond."""
 
     def __init__(self, lines):
         pairs = [(name, mpmath.mpf(float.fromhex(value))) for name, value in map(str.split, lines)]
@@ -37,11 +37,11 @@ class Scene(dict):
         self.held = [[quad(value) for _, value in rest[i : i + count]] for i in range(0, len(rest), count or 1)]
 
     def input(self, name: str):
-        """An input as an expression: a parameter of the integrator if it changes."""
+        """The expression of an input: a parameter of the integrator if the input changes."""
         return hy.par[self.changing.index(name)] if name in self.changing else hy.expression(quad(self[name]))
 
     def row(self, pattern: str, count: int) -> list[mpmath.mpf]:
-        """pattern with 1 .. count in place of #."""
+        """Expressions for `pattern` with 1 .. count in place of #."""
         return [self[pattern.replace("#", str(i + 1))] for i in range(count)]
 
     def on(self, effect: str) -> bool:
@@ -62,7 +62,7 @@ def start(scene: Scene) -> list[mpmath.mpf]:
     first = mpmath.arg(right - left) + side * angle
     tip = left + lengths[1] * turn(first)
     first, second = mpmath.arg(tip - left), mpmath.arg(tip - right)
-    # i (w1 left + w2 (tip - left)) = i (w4 (right - base) + w3 (tip - right)); at rest without dividing, as at a direct singularity
+    # i (w1 left + w2 (tip - left)) = i (w4 (right - base) + w3 (tip - right)); at rest without division, because the start may be singular
     a, b, c = tip - left, right - tip, rates[1] * (right - base) - rates[0] * left
     solution = (
         mpmath.lu_solve(mpmath.matrix([[a.real, b.real], [a.imag, b.imag]]), mpmath.matrix([c.real, c.imag]))
@@ -73,7 +73,7 @@ def start(scene: Scene) -> list[mpmath.mpf]:
 
 
 def leg_constants(scene: Scene, near: int, far: int) -> list[mpmath.mpf]:
-    """Of the leg of links near, far: mass matrix entries a and c, the factor of cos(th_near - th_far) in b, and the moments of its links."""
+    """For the leg of links near, far: mass matrix entries a and c, the factor of cos(th_near - th_far) in b, and the moments of its links."""
     m1, m2 = scene[f"link[{near + 1}].mass"], scene[f"link[{far + 1}].mass"]
     c1, c2 = scene[f"link[{near + 1}].com"], scene[f"link[{far + 1}].com"]
     l1, l2 = scene[f"link[{near + 1}].length"], scene[f"link[{far + 1}].length"]
@@ -87,7 +87,7 @@ def leg_constants(scene: Scene, near: int, far: int) -> list[mpmath.mpf]:
 
 
 def mass_matrix(scene: Scene, theta: list[mpmath.mpf]) -> mpmath.matrix:
-    """Of the four angles."""
+    """Mass matrix of the four angles."""
     matrix = mpmath.zeros(4)
     for near, far in ((0, 1), (3, 2)):
         matrix[near, near], matrix[far, far], coupling, *_ = leg_constants(scene, near, far)
@@ -96,7 +96,7 @@ def mass_matrix(scene: Scene, theta: list[mpmath.mpf]) -> mpmath.matrix:
 
 
 def after_impact(scene: Scene, mass: mpmath.mpf, state: list[mpmath.mpf]) -> list[mpmath.mpf]:
-    """Angles and rates after mass at rest has joined the tip: M' w' + J^T l = M w, J w' = 0."""
+    """Angles and rates after a mass at rest has joined the tip: M' w' + J^T l = M w, J w' = 0."""
     theta, lengths = state[:4], scene.row("link[#].length", 4)
     momentum = mass_matrix(scene, theta) * mpmath.matrix(state[4:])
     scene["payload.mass"] = mass
@@ -118,7 +118,7 @@ class Machine:
         self.lengths = [quad(x) for x in scene.row("link[#].length", 4)]
         self.cos = [hy.cos(x) for x in self.theta]
         self.sin = [hy.sin(x) for x in self.theta]
-        self.switches: list = []  # functions whose signs choose the piece of a law, with par[i] = 1 where positive
+        self.switches: list = []  # functions whose signs choose the piece of a law; par[i] = 1 if positive
 
     def tip(self):
         """Tip position and velocity by the left leg."""
@@ -143,7 +143,7 @@ class Machine:
         return a, b, c, force
 
     def piece(self, function):
-        """The parameter that is 1 where `function` is positive."""
+        """The parameter that is 1 if `function` is positive, else 0."""
         self.switches.append(function)
         return hy.par[len(self.scene.changing) + len(self.switches) - 1]
 
@@ -158,7 +158,7 @@ class Machine:
         return touching * pushing * (beyond + (FP(1) - beyond) * ramp) * push
 
     def loads(self):
-        """Generalised forces of the angles beside weight."""
+        """Generalised forces of the angles except weight."""
         scene, q = self.scene, [hy.expression(FP(0))] * 4
         for j, (first, second) in enumerate(JOINTS):
             w = self.omega[first] - (self.omega[second] if second is not None else FP(0))
@@ -209,7 +209,7 @@ class Machine:
         """Angular accelerations of links 1 to 4."""
         q = self.loads()
         legs = (self.leg(0, 1), self.leg(3, 2))
-        # Closure: the left leg's end minus the right one's. Its Jacobian has a column per link.
+        # Closure: end of the left leg minus end of the right leg. The Jacobian has a column per link.
         sign = (FP(1), FP(1), FP(-1), FP(-1))
         jx = [-s * l * sin for s, l, sin in zip(sign, self.lengths, self.sin)]
         jy = [s * l * cos for s, l, cos in zip(sign, self.lengths, self.cos)]
@@ -219,7 +219,7 @@ class Machine:
         )
 
         def by_mass(vector):
-            """M^-1 times a vector of the angles."""
+            """M^-1 times a vector."""
             near, far = inverse(legs[0], vector[0], vector[1])
             last, third = inverse(legs[1], vector[3], vector[2])
             return [near, far, third, last]
@@ -242,7 +242,7 @@ class Machine:
 
 
 def events(switches, first):
-    """One event per switch: it turns the parameter that says which piece holds; `first` is the index of the first of them."""
+    """One event per switch: it flips the parameter that selects the piece; `first` is the index of the first parameter."""
 
     def turn(index):
         def callback(ta, _direction):
@@ -255,11 +255,11 @@ def events(switches, first):
 
 
 def integrator(scene: Scene, state: list[mpmath.mpf], held: list, time):
-    """From a state on, with inputs that change as they are held first; and the tip."""
+    """The integrator from a state on, with the first values of changing inputs; and a function for the tip."""
     machine = Machine(scene)
     accelerations = machine.accelerations()
     system = list(zip(machine.theta, machine.omega)) + list(zip(machine.omega, accelerations))
-    # Side of each switch in double precision: no scene starts on a switch.
+    # The side of each switch in double precision; no scene starts on a switch.
     names = dict(zip((*map(str, machine.theta), *map(str, machine.omega)), map(float, state)))
     sides = [
         float(hy.cfunc([g], [*machine.theta, *machine.omega])(np.array(list(names.values())))[0])
@@ -282,9 +282,9 @@ def main() -> None:
     if mass in scene.changing:
         scene[mass] = mpmath.mpf(str(scene.held[0][scene.changing.index(mass)]))
     ta, tip = integrator(scene, start(scene), scene.held[0] if inputs else [], FP(0))
-    # A saturated servo is constant to the last digit: longer steps would pass over the instant at which it turns.
+    # A saturated servo is constant to the last digit: longer steps would pass over the time at which it changes.
     longest = FP("2e-4" if scene.on("servo") else "2e-3")
-    holds = 100 if inputs else 1  # in a tenth of a second: inputs that change are held for 1 ms
+    holds = 100 if inputs else 1  # pieces of a tenth of a second: changing inputs are constant for 1 ms
     for point in range(holds * tenths + 1):
         goal = FP(point) / FP(10 * holds)
         if inputs and point > 0:
