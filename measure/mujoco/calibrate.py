@@ -43,10 +43,10 @@ def calibrate(folder: Path, fmu: Path, rows: np.ndarray, kinds: list[str], truth
     done = subprocess.run([str(part) for part in command], check=False)
     if done.returncode not in (0, 1):
         return {"from, s": begin, "exit code": done.returncode}
-    told = json.loads((folder / "calibrate" / "calibration.json").read_text(encoding="utf-8"))
+    calibrated = json.loads((folder / "calibrate" / "calibration.json").read_text(encoding="utf-8"))
     true = true_values(truth)
     rows_of_table = {}
-    for name, unknown in told["unknowns"].items():
+    for name, unknown in calibrated["unknowns"].items():
         for member in unknown["scene"] or {name: 0.0}:
             row = {"believed": unknown["scene"].get(member, 0.0), "true": true.get(member)}
             if unknown["identified"]:
@@ -54,8 +54,8 @@ def calibrate(folder: Path, fmu: Path, rows: np.ndarray, kinds: list[str], truth
                 if row["true"] is not None:
                     row["inside"] = abs(row["found"] - row["true"]) <= row["bar"]
             rows_of_table[member] = row
-    refusals = {name: told[name] for name in ("refused", "warning") if told[name]}
-    return {"from, s": begin, **refusals, "residuals, rad": told["residuals_rad"], "values": rows_of_table}
+    refusals = {name: calibrated[name] for name in ("refused", "warning") if calibrated[name]}
+    return {"from, s": begin, **refusals, "residuals, rad": calibrated["residuals_rad"], "values": rows_of_table}
 
 
 def _quiet(rows: np.ndarray, kinds: list[str]) -> float:

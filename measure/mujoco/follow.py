@@ -93,16 +93,16 @@ class Follower:
     def learned(self, truth: machine.Truth) -> dict[str, dict[str, float]]:
         """Learned values and half-widths of their 95 % bands, with the true values."""
         true = calibrate.true_values(truth)
-        told = {}
+        result = {}
         for name, variable in LEARNED.items():
             found, sigma = self.unit.get(variable, variable.replace("[", ".sigma["))
-            told[name] = {
+            result[name] = {
                 "true": true[name],
                 "found": found,
                 "bar": QUANTILE * sigma,
                 "inside": abs(found - true[name]) <= QUANTILE * sigma,
             }
-        return told
+        return result
 
 
 ORDERS = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]")
@@ -154,22 +154,22 @@ def figures(rows, true, kinds, said, statuses, ahead) -> dict[str, object]:
     """Figures of a run, in mm, %, s."""
     settled = round(2 / machine.SAMPLE)
     found = judge(said, true[:, 3:5])
-    told = {"minutes": len(rows) * machine.SAMPLE / 60, "estimate": _row(found, slice(settled, None))}
+    result = {"minutes": len(rows) * machine.SAMPLE / 60, "estimate": _row(found, slice(settled, None))}
     kinds = np.array(kinds)
     late = np.arange(len(rows)) >= settled
     pushed = np.hypot(rows[:, 7], rows[:, 8]) > 0
-    told["estimate, by motion"] = {
+    result["estimate, by motion"] = {
         kind: _row(found, late & (kinds == kind) & ~pushed) for kind in ("pick", "sines", "steps", "rest")
     }
-    told["estimate, pushed"] = _row(found, late & pushed)
-    told["forecasts"] = {
+    result["estimate, pushed"] = _row(found, late & pushed)
+    result["forecasts"] = {
         f"{horizon:g} s": _row(judge(rest[:, 1:], true[rest[:, 0].astype(int), 3:5]), slice(None))
         for horizon, rest in ahead.items()
     }
     lost = (found["error"] > LOST) & (found["error"] > 3 * found["half"])
-    told["lost, % of samples"] = round(100 * float(lost[settled:].mean()), 3)
+    result["lost, % of samples"] = round(100 * float(lost[settled:].mean()), 3)
     counts = np.unique(np.array(statuses)[settled:], return_counts=True)
-    told["status, % of samples"] = {
+    result["status, % of samples"] = {
         str(k): round(100 * int(n) / (len(rows) - settled), 2) for k, n in zip(*counts, strict=True)
     }
     alarm = said[:, 5] > 0.5
@@ -180,15 +180,15 @@ def figures(rows, true, kinds, said, statuses, ahead) -> dict[str, object]:
     for begin, end in zip(onsets, [*ends, len(rows)], strict=False):
         excused[begin : end + round(ALARM / machine.SAMPLE)] = True
     false = [i for i in range(settled + 1, len(rows)) if alarm[i] and not alarm[i - 1] and not excused[i]]
-    told["alarms"] = {
+    result["alarms"] = {
         "pushes": len(onsets),
         "found within 0.5 s": sum(bool(len(delay)) for delay in delays),
         "median time to find, ms": float(
             np.median([1e3 * machine.SAMPLE * delay[0] for delay in delays if len(delay)] or [np.nan])
         ),
-        "false alarms a minute": round(len(false) / told["minutes"], 2),
+        "false alarms a minute": round(len(false) / result["minutes"], 2),
     }
-    return told
+    return result
 
 
 def _row(found: dict[str, np.ndarray], which) -> dict[str, float]:
@@ -295,16 +295,16 @@ def main() -> None:
     write(asked.out, truth, rows, true)
     said, statuses, ahead = follow(Follower(asked.fmu), rows, progress("the unit follows"))
     print(file=sys.stderr)
-    told = figures(rows, true, kinds, said, statuses, ahead)
+    result = figures(rows, true, kinds, said, statuses, ahead)
     learner = Follower(asked.fmu, learn=True)
-    told["learning"] = figures(rows, true, kinds, *follow(learner, rows, progress("a unit that learns follows")))
-    told["learning"]["learned"] = learner.learned(truth)
+    result["learning"] = figures(rows, true, kinds, *follow(learner, rows, progress("a unit that learns follows")))
+    result["learning"]["learned"] = learner.learned(truth)
     print(file=sys.stderr)
-    told["calibration"] = calibrate.calibrate(asked.out, asked.fmu, rows, kinds, truth)
-    (asked.out / "figures.json").write_text(json.dumps(told, indent=1) + "\n")
+    result["calibration"] = calibrate.calibrate(asked.out, asked.fmu, rows, kinds, truth)
+    (asked.out / "figures.json").write_text(json.dumps(result, indent=1) + "\n")
     draw(asked.out / "follow.svg", rows, true, said, ahead)
-    print(show(told))
-    print(calibrate.show(told["calibration"]))
+    print(show(result))
+    print(calibrate.show(result["calibration"]))
 
 
 if __name__ == "__main__":

@@ -249,11 +249,11 @@ def _pushes(seconds: float, random: np.random.Generator) -> list[tuple[float, fl
     return found
 
 
-def _drive(model, data, truth: Truth, motors: list[int], told: tuple[np.ndarray, np.ndarray]) -> None:
+def _drive(model, data, truth: Truth, motors: list[int], setpoints: tuple[np.ndarray, np.ndarray]) -> None:
     """Torques of the drives from their own encoders, N·m: the unit's servo law, with ripple and cogging."""
     theta, omega = data.qpos[motors], data.qvel[motors]
     shown = theta + truth.offset + truth.eccentricity * np.sin(theta + truth.phase)
-    torque = LIMIT * np.tanh((KP * (told[0] - shown) + KD * (told[1] - omega)) / LIMIT)
+    torque = LIMIT * np.tanh((KP * (setpoints[0] - shown) + KD * (setpoints[1] - omega)) / LIMIT)
     data.qfrc_applied[motors] = torque * (1 + truth.ripple * np.sin(SLOTS * theta)) + truth.cogging * np.sin(
         2 * SLOTS * theta
     )

@@ -151,7 +151,7 @@ fn a_resolved_scene_has_nothing_left_to_look_up() {
 
 /// Content, and words of the sentence that refuses it.
 #[test]
-fn what_is_wrong_is_named() {
+fn errors_are_named() {
     let knots = json!([[0, 0], [1, 1]]);
     let signals = |signals: Json| json!({ "signals": signals });
     for (content, words) in [
@@ -238,7 +238,7 @@ fn what_is_wrong_is_named() {
 }
 
 #[test]
-fn what_is_no_scene_at_all_is_named() {
+fn other_content_than_scenes_is_named() {
     let refusal = |text: &str| format!("{:#}", Scene::parse("odd", text).expect_err(text));
     assert_eq!(refusal("[]"), "a scene must be an object of variable names and values");
     assert_eq!(refusal("{}"), "it has no text 'description'");

@@ -79,7 +79,7 @@ pub(super) const LARGEST_MISFIT: f64 = 4.0;
 pub(super) const LARGEST_STRAIN: f64 = 0.05;
 /// Time without a move to a bound after which values count as back within their bounds, s. If an encoder is mounted ten standard deviations
 /// off, values return to their bounds 32 times in 0.8 s, each time after up to 0.3 s and from more than a tenth away (the machine of
-/// `a_value_at_its_bound_is_told_once`, mounted 20 mrad off).
+/// `a_value_at_its_bound_is_reported_once`, mounted 20 mrad off).
 pub(super) const BOUNDS_LEFT_AFTER: f64 = 1.0;
 
 // ---- Propagation.

@@ -264,7 +264,7 @@ mod tests {
 
     /// `while t < 10 { step(t, 0.01); t += 0.01 }` makes 1001 steps.
     #[test]
-    fn one_step_too_many_is_told_to_be_rounding() {
+    fn one_step_too_many_is_recognised_as_rounding() {
         let mut clock = Clock::new(0.0, Some(10.0)).expect("a clock");
         let mut point = 0.0;
         for _ in 0..1000 {

@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_such_file_is_refused() {
+    fn other_files_are_refused() {
         let head = head();
         for (text, why) in [
             ("".to_owned(), FORM),

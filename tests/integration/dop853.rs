@@ -367,7 +367,7 @@ fn coaxial_machines_stay_on_their_branch() {
 /// i3-ALP steps over the straight posture unless a macro step ends there; then the closure in its twelve coordinates is nearly singular.
 /// Calls that end exactly at this instant, and up to 10 µs beside it, continue and conserve the energy.
 #[test]
-fn i3alp_may_end_where_coaxial_links_are_in_line() {
+fn i3alp_may_end_with_coaxial_links_in_line() {
     let mut scene = rhombus();
     scene.settings.method = Method::I3alp;
     let side = |simulation: &Simulation| (simulation.state().angles()[0] - simulation.state().angles()[1]).sin();

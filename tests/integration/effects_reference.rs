@@ -72,7 +72,7 @@ fn each_error(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 4]
 
 /// Work and dissipation are as accurate as the motion, by all error-controlled methods: within 1 µJ at the default tolerance.
 #[test]
-fn work_adds_up_where_forces_have_kinks() {
+fn work_adds_up_across_kinks() {
     let smooth = ["bounce", "end_stops", "friction_fall", "haptic", "run_down", "servo_friction", "servo_step", "stiff_servo"];
     let others = ["friction_fall_stick", "haptic_stick", "run_down_stick", "stick_slip", "pick_and_place", "pick_up"];
     for scene in smooth.into_iter().chain(others) {

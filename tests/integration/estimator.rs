@@ -121,7 +121,7 @@ fn transitions_are_differences() {
 
 /// The estimator's own Runge-Kutta reproduces the unit's motion.
 #[test]
-fn motions_are_those_of_the_unit() {
+fn motions_equal_the_unit() {
     for effect in ["gravity", "rotor", "payload", "viscous", "spring", "servo"] {
         let mut parameters = loaded(effect);
         parameters.settings.method = Method::Dop853;
@@ -467,7 +467,7 @@ fn one_encoder_that_loses_the_machine_is_not_trusted() {
 
 /// Learned lengths and the simulated machine's agree, also from the sample on at which the machine is given up and learned again.
 #[test]
-fn a_machine_that_is_given_up_is_the_one_that_is_told() {
+fn learned_lengths_and_the_simulated_machine_agree() {
     let mut parameters = followed_by(Method::Dop853, false);
     parameters.start.omega = [3.0, -3.0];
     parameters.estimator.learn_enabled = true;
@@ -508,7 +508,7 @@ fn a_machine_that_is_given_up_is_the_one_that_is_told() {
 /// any resolution and sampling interval, with exact geometry and with the unit's start values. The other encoder and the servos keep the
 /// tip within 10 mm. A reading that repeats because a servo, stiff or soft, holds its axis is no fault.
 #[test]
-fn a_frozen_encoder_is_distinguished_from_a_held_axis() {
+fn a_frozen_encoder_is_distinguished_from_an_axis_at_rest() {
     let swing = |time: f64, frequency: f64| {
         let (angle, rate) = (0.25 * (frequency * time).sin(), 0.25 * frequency * (frequency * time).cos());
         Inputs { servo_theta: [2.0 + angle, 1.1 - angle], servo_omega: [rate, -rate], ..default_inputs() }

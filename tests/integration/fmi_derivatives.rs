@@ -435,7 +435,7 @@ fn same_motion(host: &Host, other: &Host, method: Method) {
 
 /// A step along a polynomial equals macro steps with its mid-step values; then the input keeps the final value.
 #[test]
-fn an_input_with_derivatives_is_held_in_the_middle_of_each_macro_step() {
+fn an_input_with_derivatives_has_its_mid_step_value_in_each_macro_step() {
     for &method in Method::LIST {
         let ready = || {
             let host = Host::initializing(0.0, None);

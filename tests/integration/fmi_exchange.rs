@@ -24,7 +24,7 @@ const BENT: (&str, f64) = ("init.theta[2]", 2.0);
 
 /// der(x) are the rates and accelerations that co-simulation reports for the same motion.
 #[test]
-fn derivatives_are_those_of_co_simulation() {
+fn derivatives_equal_co_simulation() {
     let values = [BENT, ("init.omega[1]", 1.0), ("init.omega[2]", -2.0), ("tau[1]", 0.05), ("tip.fy", 0.3)];
     let (host, stepped) = (integrated(&values), Host::ready(&values));
     let names = ["theta[1]", "theta[2]", "omega[1]", "omega[2]", "alpha[1]", "alpha[2]"].map(reference);
@@ -45,7 +45,7 @@ fn derivatives_are_those_of_co_simulation() {
 
 /// The master sets the states; outputs follow, also over whole turns and back.
 #[test]
-fn states_are_where_the_master_puts_them() {
+fn states_are_set_by_the_master() {
     let host = integrated(&[("base.distance", 0.0), BENT]);
     let start = host.array::<4>(fmi2GetContinuousStates).expect("states");
     let read = |name| {
@@ -95,7 +95,7 @@ fn in_a_direct_singularity_derivatives_are_discarded() {
 
 /// Indicators change sign exactly at changes of mode and at the borders of stops and plane.
 #[test]
-fn indicators_change_sign_where_modes_and_kinks_are() {
+fn indicators_change_sign_at_modes_and_kinks() {
     let host = Host::instantiate(Instantiation { kind: fmi2ModelExchange, ..Default::default() }).expect("an instance");
     assert_eq!(host.set_boolean(&[reference("stop.enabled"), reference("contact.enabled")], &[1, 1]), fmi2OK);
     for (name, value) in [BENT, ("contact.offset", 0.2), ("stop.upper[2]", 2.2)] {
@@ -139,7 +139,7 @@ fn indicators_change_sign_where_modes_and_kinks_are() {
 
 /// A tuned parameter acts from fmi2NewDiscreteStates on; a payload picked up there changes the rates, which is reported.
 #[test]
-fn an_event_brings_what_was_tuned() {
+fn tuned_values_act_from_an_event_on() {
     let host = Host::instantiate(Instantiation { kind: fmi2ModelExchange, ..Default::default() }).expect("an instance");
     let mass = reference("payload.mass");
     assert_eq!(host.set_boolean(&[reference("payload.enabled")], &[1]), fmi2OK);

@@ -115,7 +115,7 @@ fn vary(host: &Host, known: &Variable, mut look: impl FnMut(&Host)) {
 
 /// Every change is declared, in every scene; every declared dependency changes its unknown in at least one scene.
 #[test]
-fn initial_unknowns_depend_on_what_is_declared_and_on_nothing_else() {
+fn initial_unknowns_depend_exactly_on_declared_variables() {
     let description = ModelDescription::read().expect("the shipped description");
     let unknowns = &description.structure.initial_unknowns;
     let is_known = |variable: &&Variable| matches!(variable.causality, Causality::Parameter | Causality::Input);

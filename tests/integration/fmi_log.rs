@@ -46,7 +46,7 @@ fn the_master_chooses_the_categories() {
 }
 
 #[test]
-fn an_unknown_category_is_refused_with_those_that_exist() {
+fn an_unknown_category_is_refused_with_the_known_ones() {
     let host = logging(false);
     assert_eq!(host.set_debug_logging(true, &["logAll", "logSql"]), fmi2Error);
     assert_eq!(

@@ -83,7 +83,7 @@ fn a_restored_run_is_the_uninterrupted_one_bit_for_bit() {
 /// The state contains values that were set and have not acted yet (an input, a tunable parameter), parameters and the stage of the life
 /// cycle.
 #[test]
-fn a_state_holds_what_is_pending() {
+fn a_state_contains_pending_values() {
     let host = machine(1);
     steps(&host, 0, 5);
     assert_eq!(host.set_real(&[reference("servo.kp[1]"), reference("tip.fx")], &[5.0, 0.3]), fmi2OK);

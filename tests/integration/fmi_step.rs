@@ -192,7 +192,7 @@ fn a_discarded_step_leaves_tuned_parameters_pending() {
 }
 
 #[test]
-fn inputs_act_from_the_point_where_they_are_set() {
+fn inputs_act_from_the_point_at_which_they_are_set() {
     let host = Host::ready(&[("init.theta[2]", 2.0)]);
     host.run(0.01, 5);
     let driven = Host::ready(&[("init.theta[2]", 2.0)]);

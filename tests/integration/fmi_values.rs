@@ -34,7 +34,7 @@ fn a_fresh_instance_has_the_start_values_of_the_xml() {
 }
 
 #[test]
-fn outputs_at_the_start_are_those_of_the_scene() {
+fn outputs_at_the_start_match_the_scene() {
     let host = Host::initializing(0.0, None);
     let names = ["theta[1]", "theta[2]", "omega[1]", "tip.x", "tip.y", "elbow[2].x", "energy.error", "solver.positionError"];
     let mut values = [f64::NAN; 8];
@@ -201,7 +201,7 @@ fn reading_changes_nothing_and_gives_the_same_bits_in_any_order() {
 
 /// Inputs that are finite but too large: a value that is not finite is discarded by name and not returned; the others can be read.
 #[test]
-fn what_is_not_finite_is_never_told() {
+fn values_that_are_not_finite_are_never_returned() {
     let host = Host::ready(&[("init.theta[2]", 2.0)]);
     assert_eq!(host.set_real(&[reference("tau[1]")], &[1e308]), fmi2OK);
     let mut values = [7.0; 2];

@@ -35,7 +35,7 @@ fn plane(parameters: &mut Parameters, [nx, ny]: [f64; 2], offset: f64, [k, d, wi
 /// short: the stages of a step may miss it while the extra evaluations for the interpolant meet it, and then outputs are up to 0.3 m off
 /// (291 of 600 points).
 #[test]
-fn what_is_shown_between_steps_is_the_motion() {
+fn outputs_between_steps_are_the_motion() {
     let mut parameters = close_motors([2.305042384925536, 0.6405545940084515], [0.01947391254988405, 0.03608366856835523]);
     let normal = [-0.7832714430806205, -0.6216798584918144];
     let damping = parameters.effects.contact.d;

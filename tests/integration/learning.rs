@@ -264,7 +264,7 @@ fn a_machine_with_eccentric_encoders_is_learned_within_its_bands() {
 /// Stiff servos use encoders mounted 1 to 2 mrad off and lead the axes to other angles than the setpoints: the learned mounting angles end
 /// within their bands. If servos were assumed to use true angles, the encoders would always suggest mounting angles of 0.
 #[test]
-fn mounting_angles_of_encoders_on_which_stiff_servos_close_stay_within_their_bands() {
+fn mounting_angles_learned_under_stiff_servos_stay_within_their_bands() {
     for offset in [[1e-3, 2e-3], [-2e-3, 1e-3], [1.5e-3, -1.5e-3], [-1e-3, -2e-3]] {
         let mut model = learning();
         model.estimator.sigma0_offset = 2e-3;
@@ -547,7 +547,7 @@ fn disabled_learning_learns_nothing() {
 /// A stored state contains the learned values: another instance continues with equal bits, with and without samples; a forged one is
 /// refused.
 #[test]
-fn stored_states_hold_what_is_learned() {
+fn stored_states_contain_learned_values() {
     for method in methods() {
         let (host, mut machine) = (host(true, &[]), heavier());
         assert_eq!(host.set_integer(&[reference("solver.method")], &[method]), fmi2OK);
@@ -572,7 +572,7 @@ fn stored_states_hold_what_is_learned() {
 
 /// A learned value that reaches its bound is reported once, also after continuing from a stored state, and again only after a new occasion.
 #[test]
-fn a_value_at_its_bound_is_told_once() {
+fn a_value_at_its_bound_is_reported_once() {
     let told = |host: &Host| -> Vec<String> {
         host.take().into_iter().map(|line| line.text).filter(|text| text.contains("has been moved to its bound")).collect()
     };

@@ -323,7 +323,7 @@ fn motions(method: Method) -> [Motion; 2] {
 
 /// Dissipated energy never decreases.
 #[test]
-fn what_is_dissipated_never_falls() {
+fn dissipated_energy_never_decreases() {
     for method in methods_with_events() {
         for (parameters, inputs) in motions(method) {
             let mut simulation = Simulation::new(&parameters, &inputs(0.0)).expect("a scene");

@@ -149,7 +149,7 @@ fn loads_with_kinks_are_followed() {
 /// Dissipated energy never decreases, also between step ends, where work is a polynomial: in these scenes such an error was up to 6e-4 of
 /// the energies at loose tolerances. With torque changes within steps, and communication points 0.1 ms apart.
 #[test]
-fn what_is_dissipated_is_never_taken_back() {
+fn dissipated_energy_is_never_taken_back() {
     let sample = |scenes: Vec<u64>, by: &str, tolerances: &[f64], points: u64| Sample {
         scenes,
         only: String::new(),

@@ -86,20 +86,20 @@ impl Fault {
 
 /// Cause reported by a twin for a fault.
 #[derive(Clone, Copy, Debug)]
-struct Told {
+struct Report {
     fault: usize,
     cause: usize,
     probability: f64,
 }
 
 /// The cause reported 0.4 s after the onset of a fault; without a fault the first one reported.
-fn run(mut scenario: Scenario, encoder: &Encoder, fault: Fault, random: &mut Random) -> Told {
+fn run(mut scenario: Scenario, encoder: &Encoder, fault: Fault, random: &mut Random) -> Report {
     let h = 1e-3;
     let onset = random.between(0.5, 1.0);
     let (mut machine, mut twin) = (scenario.machine(), scenario.twin(encoder));
     scenario.truth.effects.payload.join = Join::WithTip;
     let (mut held, mut queue, mut last, mut failing) = (None, VecDeque::new(), Measured::default(), false);
-    let mut told = (Cause::None, 1.0);
+    let mut report = (Cause::None, 1.0);
     for step in 0..((onset + ASKED) / h).round() as u64 {
         let time = step as f64 * h;
         if time >= onset && !failing {
@@ -125,8 +125,8 @@ fn run(mut scenario: Scenario, encoder: &Encoder, fault: Fault, random: &mut Ran
         twin.correct(&measured, time);
         last = measured;
         // Without a fault, any reported cause counts.
-        if time > SETTLED && (failing && !matches!(fault, Fault::Nothing) || told.0 == Cause::None) {
-            told = twin.cause();
+        if time > SETTLED && (failing && !matches!(fault, Fault::Nothing) || report.0 == Cause::None) {
+            report = twin.cause();
         }
         let middle = time + h / 2.0;
         let mut acting = scenario.acting(middle);
@@ -139,11 +139,11 @@ fn run(mut scenario: Scenario, encoder: &Encoder, fault: Fault, random: &mut Ran
             break;
         }
     }
-    Told { fault: fault.number(), cause: told.0.number(), probability: told.1 }
+    Report { fault: fault.number(), cause: report.0.number(), probability: report.1 }
 }
 
 /// Causes reported for `runs` faults of each kind, alternately for servos on sines and falls; `uncertain` sets the twin's geometry errors.
-fn trials(encoder: &Encoder, uncertain: fn(Scenario) -> Scenario, runs: u64, first: u64) -> Vec<Told> {
+fn trials(encoder: &Encoder, uncertain: fn(Scenario) -> Scenario, runs: u64, first: u64) -> Vec<Report> {
     type Scene = fn(&mut Random) -> Scenario;
     let scenes: [Scene; 2] = [|random| sines(random, 2.0), |random| fall(random, true)];
     let one = |seed: u64| {
@@ -158,7 +158,7 @@ fn trials(encoder: &Encoder, uncertain: fn(Scenario) -> Scenario, runs: u64, fir
 /// Number of faults named correctly, with `runs` of each of eight kinds, at 16 bits and at 0.1°.
 pub fn named(runs: u64, first: u64) -> [usize; 2] {
     [FINE, COARSE]
-        .map(|encoder| trials(&encoder, |exact| exact, runs, first).iter().filter(|told| told.cause == told.fault).count())
+        .map(|encoder| trials(&encoder, |exact| exact, runs, first).iter().filter(|report| report.cause == report.fault).count())
 }
 
 /// Faults named correctly, by encoder and kind.
@@ -168,38 +168,39 @@ pub fn table(runs: u64, first: u64) -> Table {
     let mut table = Table::new("Causes 0.4 s after the onset of a fault, servos on sines and falls alternately: right, %");
     for encoder in [FINE, COARSE] {
         let all = trials(&encoder, |exact| exact, runs, first);
-        let share = |of: &[Told]| 100.0 * of.iter().filter(|told| told.cause == told.fault).count() as f64 / of.len() as f64;
+        let share =
+            |of: &[Report]| 100.0 * of.iter().filter(|report| report.cause == report.fault).count() as f64 / of.len() as f64;
         for (number, name) in NAMES.iter().enumerate() {
-            let of: Vec<Told> = all.iter().filter(|told| told.fault == number).copied().collect();
-            let count = |cause: usize| of.iter().filter(|told| told.cause == cause).count().to_string();
-            let remark = format!("of {}; told as 0 to 7: {}", of.len(), (0..8).map(count).collect::<Vec<_>>().join(", "));
-            table.push(Figure::told(format!("{name}, {}", encoder.name), share(&of), remark));
+            let of: Vec<Report> = all.iter().filter(|report| report.fault == number).copied().collect();
+            let count = |cause: usize| of.iter().filter(|report| report.cause == cause).count().to_string();
+            let remark = format!("of {}; reported as 0 to 7: {}", of.len(), (0..8).map(count).collect::<Vec<_>>().join(", "));
+            table.push(Figure::untargeted(format!("{name}, {}", encoder.name), share(&of), remark));
         }
         let remark = format!("of {}", all.len());
         let name = format!("all, {}", encoder.name);
         let judged = if encoder == FINE {
             Figure::at_least(name, share(&all), 90.0, remark)
         } else {
-            Figure::told(name, share(&all), remark)
+            Figure::untargeted(name, share(&all), remark)
         };
         table.push(judged);
         // Calibration: of the causes reported with a probability in each range, the same fraction must be right.
         for [least, most] in [[0.0, 0.7], [0.7, 0.94], [0.94, 1.0]] {
-            let of: Vec<Told> =
-                all.iter().filter(|told| told.cause > 0 && (least..most).contains(&told.probability)).copied().collect();
-            let mean = 100.0 * of.iter().map(|told| told.probability).sum::<f64>() / of.len().max(1) as f64;
+            let of: Vec<Report> =
+                all.iter().filter(|report| report.cause > 0 && (least..most).contains(&report.probability)).copied().collect();
+            let mean = 100.0 * of.iter().map(|report| report.probability).sum::<f64>() / of.len().max(1) as f64;
             let name = format!("causes of probability {least} to {most}, {}", encoder.name);
-            table.push(Figure::told(name, share(&of), format!("of {}; mean probability {mean:.0} %", of.len())));
+            table.push(Figure::untargeted(name, share(&of), format!("of {}; mean probability {mean:.0} %", of.len())));
         }
         type Way = fn(Scenario) -> Scenario;
         let ways: [(&str, Way, Option<f64>); 2] = [("start values", by_start_values, None), ("learned", learned, Some(90.0))];
         for (name, uncertain, least) in ways {
             let all = trials(&encoder, uncertain, runs, first);
-            let silent = all.iter().filter(|told| told.fault > 0 && told.cause == 0).count();
-            let (label, of) = (format!("all, {name}, {}", encoder.name), format!("of {}; {silent} told as nothing", all.len()));
+            let silent = all.iter().filter(|report| report.fault > 0 && report.cause == 0).count();
+            let (label, of) = (format!("all, {name}, {}", encoder.name), format!("of {}; {silent} reported as nothing", all.len()));
             table.push(match least {
                 Some(least) => Figure::at_least(label, share(&all), least, of),
-                None => Figure::told(label, share(&all), of),
+                None => Figure::untargeted(label, share(&all), of),
             });
         }
     }

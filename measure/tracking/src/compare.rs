@@ -28,7 +28,7 @@ pub enum Way {
     /// No correction.
     OpenLoop,
     /// Restart with angles and rates of the motors from differences of samples.
-    Anew,
+    Restart,
     /// Extended Kalman filter with Jacobians by finite differences.
     Extended,
     /// Unscented Kalman filter with thirteen sigma points.
@@ -89,7 +89,7 @@ impl<'a> Outside<'a> {
     pub(crate) fn correct(&mut self, sample: [f64; 2], encoder: &Encoder, inputs: &Inputs) {
         match self.way {
             Way::OpenLoop => {}
-            Way::Anew => {
+            Way::Restart => {
                 if let Some(before) = self.before.replace(sample) {
                     let rate = [0, 1].map(|i| wrapped(sample[i] - before[i]) / H);
                     self.mean = [sample[0], sample[1], rate[0], rate[1], 0.0, 0.0];
@@ -239,7 +239,7 @@ const SCENES: [(&str, Scene); 4] = [
 
 /// External filters, with their names in tables.
 const WAYS: [(&str, Way); 4] =
-    [("open loop", Way::OpenLoop), ("start anew", Way::Anew), ("EKF, motors", Way::Extended), ("UKF, motors", Way::Unscented)];
+    [("open loop", Way::OpenLoop), ("start anew", Way::Restart), ("EKF, motors", Way::Extended), ("UKF, motors", Way::Unscented)];
 
 /// Compared scenes, encoders and seeds, each with its scenario and the continued random numbers.
 fn runs(seeds: u64, first: u64) -> impl Iterator<Item = (&'static str, Encoder, u64, Scenario, Random)> {
@@ -263,7 +263,7 @@ pub fn table(seeds: u64, first: u64) -> Table {
         let mut row = |way: &str, followed: Vec<Followed>| {
             let lost = followed.iter().filter(|run| run.is_lost()).count();
             let error = 1e3 * median(followed.iter().map(Followed::rms));
-            table.push(Figure::told(format!("{name}, {}: {way}", encoder.name), error, format!("{lost} of {seeds} lost")));
+            table.push(Figure::untargeted(format!("{name}, {}: {way}", encoder.name), error, format!("{lost} of {seeds} lost")));
         };
         for (label, way) in WAYS {
             row(

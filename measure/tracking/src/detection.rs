@@ -86,7 +86,7 @@ pub fn table(runs: u64, hours: f64, first: u64) -> Table {
             let label = format!("{name}, {}: median, ms", encoder.name);
             table.push(match most {
                 Some(most) => Figure::at_most(label, median(times()), most[i], remark),
-                None => Figure::told(label, median(times()), remark),
+                None => Figure::untargeted(label, median(times()), remark),
             });
         }
         // Many runs of two minutes, each with different masses.

@@ -204,9 +204,9 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         other => (other, 0.0, 0.0),
     };
     let onset = if let Failure::Nothing = failure { f64::INFINITY } else { onset };
-    let mut told = scenario.clone();
+    let mut believed = scenario.clone();
     if let Failure::Assembly = failure {
-        let assembly = &mut told.model.start.assembly;
+        let assembly = &mut believed.model.start.assembly;
         *assembly = if *assembly == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
     }
     // For late samples the machine starts before its twin.
@@ -220,11 +220,11 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
     let ahead = lead as f64 * h;
     let (theta, omega) = motion(&machine.state());
     for (i, link) in MEASURED.into_iter().enumerate() {
-        let (start, from) = (&mut told.model.start, &scenario.truth.start);
+        let (start, from) = (&mut believed.model.start, &scenario.truth.start);
         start.theta[i] += theta[link] - from.theta[i];
         start.omega[i] += omega[link] - from.omega[i];
     }
-    let mut twin = told.twin(encoder);
+    let mut twin = believed.twin(encoder);
     let mut outcome = Outcome { found: f64::INFINITY, named: f64::INFINITY, ..Outcome::default() };
     let (mut held, mut wrong, mut beyond, mut refused, mut stamp) = (None, 0.0, 0.0, 0.0, Measured::default().time);
     // A second twin without the samples of the frozen encoder.
@@ -556,7 +556,7 @@ pub fn table(runs: u64, first: u64) -> Table {
         let silent = count(&|o| o.silent);
         let refused = 100.0 * outcomes.iter().map(|o| o.refused).sum::<f64>() / runs as f64;
         let remark = format!(
-            "of {runs}; lost at the end {}, told within 0.2 s {}, named {}, not told though visible {}, stuck in error {}, beyond its band {}, refused stamps {refused:.1} %",
+            "of {runs}; lost at the end {}, reported within 0.2 s {}, named {}, visible but not reported {}, stuck in error {}, beyond its band {}, refused stamps {refused:.1} %",
             count(&|o| o.lost),
             count(&|o| o.found <= SOON),
             count(&|o| o.named <= SOON),
@@ -568,7 +568,7 @@ pub fn table(runs: u64, first: u64) -> Table {
         let wrong = format!("{label}: wrong in silence");
         table.push(match failure {
             // Cannot be detected with one encoder and the model.
-            Failure::BothFrozen => Figure::told(wrong, silent as f64, remark),
+            Failure::BothFrozen => Figure::untargeted(wrong, silent as f64, remark),
             _ if failure.leaves_encoders_sound() => {
                 Figure::at_most(format!("{wrong}, or stuck in error"), count(&|o| o.silent || o.early) as f64, 0.0, remark)
             }

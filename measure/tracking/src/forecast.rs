@@ -35,7 +35,8 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
     let mut scenario = scenario.clone();
     scenario.model.estimator.forecast = bands;
     let (mut machine, mut twin) = (scenario.machine(), scenario.twin(encoder));
-    let (mut straight, mut anew) = (ConstantVelocity::default(), Outside::new(Way::Anew, &scenario.model, &scenario.inputs(0.0)));
+    let (mut straight, mut restart) =
+        (ConstantVelocity::default(), Outside::new(Way::Restart, &scenario.model, &scenario.inputs(0.0)));
     let followed = random.between(0.3, 1.0);
     let steps = (followed / H) as u64;
     let inputs = |step: u64| scenario.inputs((step as f64 + 0.5) * H);
@@ -46,8 +47,8 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
         let (theta, _) = motion(&machine.state());
         let measured = Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] };
         twin.correct(&measured, time);
-        anew.correct(measured.theta, encoder, &inputs(step));
-        anew.predict(&inputs(step));
+        restart.correct(measured.theta, encoder, &inputs(step));
+        restart.predict(&inputs(step));
         let [left, right] = measured.theta;
         if let Some(seen) = assembled(&scenario.model, &[left, right, 0.0, 0.0, 0.0, 0.0], assembly(&machine), &inputs(step)) {
             straight.receive(tip(&seen, &seen.state()), noise, H);
@@ -64,7 +65,7 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
     let (mut own, mut others) = ([[[0.0; 2]; 2]; 3], [[[0.0; 2]; 2]; 3]);
     for step in 1..=500 {
         twin.advance_along(&Signal::held(held), H, 1).ok()?;
-        anew.predict(&held);
+        restart.predict(&held);
         machine.advance(&held, H, 1).ok()?;
         meets |= side(&motion(&machine.state()).0) * start < 0.0;
         if (f64::from(step) * H - AHEAD[next]).abs() < H / 2.0 {
@@ -74,7 +75,7 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
             let round = twin.tip_radius().powi(2) / ELLIPSE;
             own[next] = [covariance, [round, 0.0, round]].map(|covariance| scores(covariance, off));
             // The last sample was taken one step before the forecast.
-            others[next] = [straight.ahead(AHEAD[next] + H), anew.tip()].map(|[v, w]| [x - v, y - w]);
+            others[next] = [straight.ahead(AHEAD[next] + H), restart.tip()].map(|[v, w]| [x - v, y - w]);
             next = (next + 1).min(2);
         }
     }
@@ -163,19 +164,19 @@ pub fn table(runs: u64, first: u64) -> Table {
                     let label = format!("{name}, {}: within {ahead} s, %", encoder.name);
                     table.push(match by_points {
                         true => Figure::between(label, covered, [90.0, 100.0], format!("of {count}")),
-                        false => Figure::told(format!("{label}, linear"), covered, String::new()),
+                        false => Figure::untargeted(format!("{label}, linear"), covered, String::new()),
                     });
                     if by_points {
                         let own = [0, 1].map(|by| mean(outcomes.iter().map(|outcome| outcome.scores[i][by])));
                         let others = [0, 1]
                             .map(|way| in_hindsight(&outcomes.iter().map(|outcome| outcome.others[i][way]).collect::<Vec<_>>()));
                         for (k, (score, unit)) in [("logarithmic score", 1.0), ("CRPS, mm", 1e3)].into_iter().enumerate() {
-                            let [[own, round], [straight, anew]] = [own, others].map(|pair| pair.map(|of| unit * of[k]));
+                            let [[own, round], [straight, restart]] = [own, others].map(|pair| pair.map(|of| unit * of[k]));
                             let label = format!("{name}, {}: {score}, {ahead} s", encoder.name);
-                            let note = format!("by its radius {round:.3}; constant velocity {straight:.3}, anew {anew:.3}");
+                            let note = format!("by its radius {round:.3}; constant velocity {straight:.3}, restart {restart:.3}");
                             table.push(match moves {
-                                true => Figure::at_most(label, own, straight.min(anew), note),
-                                false => Figure::told(label, own, note),
+                                true => Figure::at_most(label, own, straight.min(restart), note),
+                                false => Figure::untargeted(label, own, note),
                             });
                         }
                     }

@@ -148,8 +148,8 @@ fn honesty(encoder: &Encoder, random: &mut Random) -> Option<[f64; 4]> {
     model.estimator.sigma0_length = TOLERANCE * model.geometry.links[0].length / 3f64.sqrt();
     let scenario = Scenario { model, truth, course: no_inputs, plan: Default::default(), duration: 1.5, from: None };
     let mut foreign = machine(&scenario, random)?;
-    let told = Encoder { sigma: ECCENTRICITY, ..*encoder };
-    let mut twin = scenario.twin(&told);
+    let configured = Encoder { sigma: ECCENTRICITY, ..*encoder };
+    let mut twin = scenario.twin(&configured);
     let phase = random.between(0.0, std::f64::consts::TAU);
     let mut line = std::collections::VecDeque::new();
     let (mut inside, mut honest, mut count, mut worst, mut squares) = (0.0, 0.0, 0.0, 0.0_f64, 0.0);
@@ -187,14 +187,14 @@ pub fn table(runs: u64, first: u64) -> Table {
             (0..runs).filter_map(|seed| honesty(&encoder, &mut Random::new(first + 7_900_000 + seed))).collect();
         let mean = |i: usize| outcomes.iter().map(|outcome| outcome[i]).sum::<f64>() / outcomes.len() as f64;
         let remark = format!("of {} runs", outcomes.len());
-        table.push(Figure::told(format!("{}: tip within its 95 % ellipse, %", encoder.name), 100.0 * mean(0), remark));
+        table.push(Figure::untargeted(format!("{}: tip within its 95 % ellipse, %", encoder.name), 100.0 * mean(0), remark));
         table.push(Figure::between(
             format!("{}: within, or the status says so, %", encoder.name),
             100.0 * mean(1),
             [90.0, 100.0],
             String::new(),
         ));
-        table.push(Figure::told(
+        table.push(Figure::untargeted(
             format!("{}: tip error, mm", encoder.name),
             1e3 * mean(3),
             format!("largest {:.2}", 1e3 * mean(2)),

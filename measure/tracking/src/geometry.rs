@@ -15,7 +15,7 @@ use crate::scores::{half_width, holds};
 use crate::singular::{FAST, SLOW, crossing};
 
 /// Standard deviations configured in the twin: lengths, m, and mounting angles, rad.
-const TOLD: [f64; 2] = [2e-4, 2e-3];
+const CONFIGURED: [f64; 2] = [2e-4, 2e-3];
 
 /// Label of machines with a mounting error of one encoder.
 const OFFSET: &str = "an encoder 1 mrad off";
@@ -26,9 +26,9 @@ const OFFSET_LEARNED: f64 = 0.077;
 /// Label of machines with eccentric encoders.
 const ECCENTRICITY: &str = "eccentricity 2 mrad";
 /// Label of machines with geometry configured as exact.
-const EXACT: &str = "masses 5 % off, falls under known sines, geometry told to be exact";
+const EXACT: &str = "masses 5 % off, falls under known sines, geometry configured as exact";
 /// Labels of machines with errors of the encoder scales that are not configured in the twin.
-const UNTOLD: [&str; 2] = ["scale 0.2 % off, falls", "scale 0.2 % off, servos"];
+const UNCONFIGURED: [&str; 2] = ["scale 0.2 % off, falls", "scale 0.2 % off, servos"];
 /// Label of machines with another scale of the encoders.
 const SCALE: &str = "scale 0.2 % off";
 
@@ -55,9 +55,9 @@ fn offset(scenario: &mut Scenario, _: &mut Random) {
 }
 
 /// Lengths and mounting angles drawn from the twin's priors.
-fn as_told(scenario: &mut Scenario, random: &mut Random) {
-    set_lengths(&mut scenario.truth.geometry, |_, length| length + TOLD[0] * random.normal());
-    scenario.plan.systematic.iter_mut().for_each(|of| of.offset = TOLD[1] * random.normal());
+fn from_priors(scenario: &mut Scenario, random: &mut Random) {
+    set_lengths(&mut scenario.truth.geometry, |_, length| length + CONFIGURED[0] * random.normal());
+    scenario.plan.systematic.iter_mut().for_each(|of| of.offset = CONFIGURED[1] * random.normal());
 }
 
 /// Eccentric discs on both encoders, 2 mrad each.
@@ -76,7 +76,7 @@ fn scale(scenario: &mut Scenario, _: &mut Random) {
 }
 
 /// A scenario with this error configured in the twin.
-fn scale_told(mut scenario: Scenario) -> Scenario {
+fn scale_configured(mut scenario: Scenario) -> Scenario {
     scenario.model.estimator.sigma0_scale = OFF_BY;
     scenario
 }
@@ -114,13 +114,13 @@ fn crossing_by_motors(random: &mut Random, speeds: [f64; 2]) -> Scenario {
 pub type Scene = fn(&mut Random) -> Scenario;
 type Error = fn(&mut Scenario, &mut Random);
 
-/// Scenario of a machine with a geometry error; `told` are the standard deviations configured in the twin.
-fn drawn(scene: Scene, error: Error, told: [f64; 2], random: &mut Random) -> Scenario {
+/// Scenario of a machine with a geometry error; `configured` are the standard deviations configured in the twin.
+fn drawn(scene: Scene, error: Error, configured: [f64; 2], random: &mut Random) -> Scenario {
     loop {
         let mut scenario = scene(random);
         scenario.truth = Parameters { geometry: scenario.model.geometry, ..scenario.truth };
         error(&mut scenario, random);
-        [scenario.model.estimator.sigma0_length, scenario.model.estimator.sigma0_offset] = told;
+        [scenario.model.estimator.sigma0_length, scenario.model.estimator.sigma0_offset] = configured;
         // Lengths that cannot be assembled are drawn again.
         if Simulation::new(&scenario.truth, &scenario.acting(0.0)).is_ok() {
             return scenario;
@@ -134,7 +134,7 @@ pub fn as_built(scene: Scene, random: &mut Random) -> Scenario {
         lengths_off(scenario, random);
         offset(scenario, random);
     };
-    drawn(scene, error, TOLD, random)
+    drawn(scene, error, CONFIGURED, random)
 }
 
 /// Machines with a single error each, with the unit's start values, with and without learning: tip errors, coverage, lost runs, false
@@ -143,9 +143,9 @@ pub fn one_thing_off(runs: u64, first: u64) -> Table {
     let mut table = Table::new("One thing off, by the unit's start values, at 1 ms: falls of 2 s, servos on sines for 5 s");
     const FALLS: Scene = |random| fall(random, false);
     const SINES: Scene = |random| sines(random, LEARNING[0]);
-    type Told = fn(Scenario) -> Scenario;
-    const TOLD_INEXACT: [Told; 2] = [by_start_values, crate::machine::learned];
-    const TOLD_EXACT: [Told; 2] = [
+    type Configure = fn(Scenario) -> Scenario;
+    const CONFIGURED_INEXACT: [Configure; 2] = [by_start_values, crate::machine::learned];
+    const CONFIGURED_EXACT: [Configure; 2] = [
         |scenario| scenario,
         |mut scenario| {
             scenario.model.estimator.learn_enabled = true;
@@ -153,27 +153,27 @@ pub fn one_thing_off(runs: u64, first: u64) -> Table {
         },
     ];
     let rows: [(&str, Scene); 12] = [
-        ("lengths 0.1 % off, falls", |random| drawn(FALLS, lengths_off, TOLD, random)),
-        ("lengths 0.1 % off, servos", |random| drawn(SINES, lengths_off, TOLD, random)),
-        ("an encoder 1 mrad off, falls", |random| drawn(FALLS, offset, TOLD, random)),
-        ("an encoder 1 mrad off, servos", |random| drawn(SINES, offset, TOLD, random)),
-        ("eccentricity 2 mrad, falls", |random| drawn(FALLS, eccentricity, TOLD, random)),
-        ("eccentricity 2 mrad, servos", |random| drawn(SINES, eccentricity, TOLD, random)),
-        (UNTOLD[0], |random| drawn(FALLS, scale, TOLD, random)),
-        (UNTOLD[1], |random| drawn(SINES, scale, TOLD, random)),
-        ("scale 0.2 % off and told, falls", |random| scale_told(drawn(FALLS, scale, TOLD, random))),
-        ("scale 0.2 % off and told, servos", |random| scale_told(drawn(SINES, scale, TOLD, random))),
+        ("lengths 0.1 % off, falls", |random| drawn(FALLS, lengths_off, CONFIGURED, random)),
+        ("lengths 0.1 % off, servos", |random| drawn(SINES, lengths_off, CONFIGURED, random)),
+        ("an encoder 1 mrad off, falls", |random| drawn(FALLS, offset, CONFIGURED, random)),
+        ("an encoder 1 mrad off, servos", |random| drawn(SINES, offset, CONFIGURED, random)),
+        ("eccentricity 2 mrad, falls", |random| drawn(FALLS, eccentricity, CONFIGURED, random)),
+        ("eccentricity 2 mrad, servos", |random| drawn(SINES, eccentricity, CONFIGURED, random)),
+        (UNCONFIGURED[0], |random| drawn(FALLS, scale, CONFIGURED, random)),
+        (UNCONFIGURED[1], |random| drawn(SINES, scale, CONFIGURED, random)),
+        ("scale 0.2 % off and configured, falls", |random| scale_configured(drawn(FALLS, scale, CONFIGURED, random))),
+        ("scale 0.2 % off and configured, servos", |random| scale_configured(drawn(SINES, scale, CONFIGURED, random))),
         ("masses 5 % off, falls under known sines", under_torques),
         (EXACT, under_torques),
     ];
     for (what, row) in rows {
-        let ways = if what == EXACT { TOLD_EXACT } else { TOLD_INEXACT };
+        let ways = if what == EXACT { CONFIGURED_EXACT } else { CONFIGURED_INEXACT };
         for encoder in [FINE, COARSE] {
-            for ((way, told), rate) in ["not learned", "learned"].into_iter().zip(ways).zip(FALSE_ALARMS) {
+            for ((way, configured), rate) in ["not learned", "learned"].into_iter().zip(ways).zip(FALSE_ALARMS) {
                 let outcomes: Vec<Outcome> = (0..runs)
                     .map(|seed| {
                         let mut random = Random::new(first + 7_800_000 + seed);
-                        let scenario = told(row(&mut random));
+                        let scenario = configured(row(&mut random));
                         run(&scenario, &encoder, &mut random)
                     })
                     .collect();
@@ -185,11 +185,11 @@ pub fn one_thing_off(runs: u64, first: u64) -> Table {
                 let [within, lost, false_alarms] =
                     ["within, %", "lost without a word", "false alarms"].map(|of| format!("{label}: {of}"));
                 let at_end = format!("of {runs}; lost at the end: {}", count(|outcome| outcome.lost));
-                table.push(Figure::told(format!("{label}: tip, mm"), all(0), format!("median; half-width {:.3} mm", all(1))));
-                if UNTOLD.contains(&what) {
-                    table.push(Figure::told(within, covered, String::new()));
-                    table.push(Figure::told(lost, silently, at_end));
-                    table.push(Figure::told(false_alarms, alarms, format!("of {runs}")));
+                table.push(Figure::untargeted(format!("{label}: tip, mm"), all(0), format!("median; half-width {:.3} mm", all(1))));
+                if UNCONFIGURED.contains(&what) {
+                    table.push(Figure::untargeted(within, covered, String::new()));
+                    table.push(Figure::untargeted(lost, silently, at_end));
+                    table.push(Figure::untargeted(false_alarms, alarms, format!("of {runs}")));
                 } else {
                     table.push(Figure::between(within, covered, [88.0, 100.0], String::new()));
                     table.push(Figure::at_most(lost, silently, 0.0, at_end));
@@ -205,7 +205,7 @@ pub fn one_thing_off(runs: u64, first: u64) -> Table {
 pub fn false_alarms_while_learning<const N: usize>(seeds: [u64; N]) -> usize {
     let alarms = seeds.map(|seed| {
         let mut random = Random::new(seed);
-        let scenario = crate::machine::learned(drawn(|random| fall(random, false), lengths_off, TOLD, &mut random));
+        let scenario = crate::machine::learned(drawn(|random| fall(random, false), lengths_off, CONFIGURED, &mut random));
         run(&scenario, &FINE, &mut random).alarm
     });
     alarms.into_iter().filter(|alarm| *alarm).count()
@@ -228,7 +228,7 @@ fn picks(random: &mut Random) -> Scenario {
 
 /// Machines with configured errors, with and without learning: tip errors in the last half second of 5 s, coverage and lost runs.
 pub fn learned(runs: u64, first: u64) -> Table {
-    let mut table = Table::new("Geometry that is off, told, and learned or not, at 1 ms: the tip after 5 s");
+    let mut table = Table::new("Geometry with errors, configured, and learned or not, at 1 ms: the tip after 5 s");
     let both: Error = |scenario, random| {
         lengths_off(scenario, random);
         offset(scenario, random);
@@ -239,23 +239,23 @@ pub fn learned(runs: u64, first: u64) -> Table {
         ("lengths 0.1 % off", lengths_off, 0.0),
         (OFFSET, offset, 0.0),
         ("both", both, 0.0),
-        ("both as told", as_told, 0.0),
-        ("both as told, discs by start value", as_told, by_start),
+        ("both from priors", from_priors, 0.0),
+        ("both from priors, discs by start value", from_priors, by_start),
         (ECCENTRICITY, eccentricity, 2e-3),
     ];
     let scenes: [(&str, Scene); 3] =
         [("falls", |random| fall(random, false)), (SERVOS, |random| sines(random, LEARNING[0])), ("stiff picks", picks)];
-    for (what, error, told) in errors {
+    for (what, error, configured) in errors {
         for (name, scene) in scenes {
             for encoder in [COARSE, FINE] {
                 for learns in [false, true] {
                     let outcomes: Vec<Outcome> = (0..runs)
                         .map(|seed| {
                             let mut random = Random::new(first + 7_750_000 + seed);
-                            let mut scenario = drawn(scene, error, TOLD, &mut random);
+                            let mut scenario = drawn(scene, error, CONFIGURED, &mut random);
                             scenario.duration = LEARNING[0];
                             let estimator = &mut scenario.model.estimator;
-                            (estimator.learn_enabled, estimator.sigma0_eccentricity) = (learns, told);
+                            (estimator.learn_enabled, estimator.sigma0_eccentricity) = (learns, configured);
                             run(&scenario, &encoder, &mut random)
                         })
                         .collect();
@@ -271,7 +271,7 @@ pub fn learned(runs: u64, first: u64) -> Table {
                     table.push(if learns && encoder == FINE && [what, name] == [OFFSET, SERVOS] {
                         Figure::at_most(tip, all(0), OFFSET_LEARNED, half_width)
                     } else {
-                        Figure::told(tip, all(0), half_width)
+                        Figure::untargeted(tip, all(0), half_width)
                     });
                     let least = 100.0 * outcomes.iter().map(|outcome| outcome.inside).fold(1.0, f64::min);
                     let of_worst = format!("of the worst machine {least:.0}");
@@ -305,28 +305,32 @@ pub fn table(seeds: u64, first: u64) -> Table {
     for (what, error) in errors {
         for (name, scene, judged) in scenes {
             for encoder in [COARSE, FINE] {
-                for told in [[0.0; 2], TOLD] {
+                for configured in [[0.0; 2], CONFIGURED] {
                     let outcomes: Vec<Outcome> = (0..seeds)
                         .map(|seed| {
                             let mut random = Random::new(first + 7_700_000 + seed);
-                            let scenario = drawn(scene, error, told, &mut random);
-                            let is_told = what == SCALE && told == TOLD;
-                            run(&if is_told { scale_told(scenario) } else { scenario }, &encoder, &mut random)
+                            let scenario = drawn(scene, error, configured, &mut random);
+                            let is_configured = what == SCALE && configured == CONFIGURED;
+                            run(&if is_configured { scale_configured(scenario) } else { scenario }, &encoder, &mut random)
                         })
                         .collect();
                     let all = |k: usize| 1e3 * median(outcomes.iter().flat_map(|outcome| &outcome.errors).map(|error| error[k]));
                     let covered = 100.0 * outcomes.iter().map(|outcome| outcome.inside).sum::<f64>() / seeds as f64;
                     let count = |of: fn(&Outcome) -> bool| outcomes.iter().filter(|outcome| of(outcome)).count() as f64;
-                    let label = format!("{what}, {name}, {}, {}", encoder.name, if told == TOLD { "told" } else { "not told" });
+                    let label = format!(
+                        "{what}, {name}, {}, {}",
+                        encoder.name,
+                        if configured == CONFIGURED { "configured" } else { "not configured" }
+                    );
                     let remark = format!("median error {:.3} mm, half-width {:.3} mm", all(0), all(1));
                     let (lost, silently) = (count(|outcome| outcome.lost), count(|outcome| outcome.silently));
                     let of = format!("of {seeds}; lost at the end: {lost}");
-                    if told == TOLD && judged {
+                    if configured == CONFIGURED && judged {
                         table.push(Figure::between(format!("{label}: within, %"), covered, [88.0, 100.0], remark));
                         table.push(Figure::at_most(format!("{label}: lost without a word"), silently, 0.0, of));
                     } else {
-                        table.push(Figure::told(format!("{label}: within, %"), covered, remark));
-                        table.push(Figure::told(format!("{label}: lost without a word"), silently, of));
+                        table.push(Figure::untargeted(format!("{label}: within, %"), covered, remark));
+                        table.push(Figure::untargeted(format!("{label}: lost without a word"), silently, of));
                     }
                 }
             }

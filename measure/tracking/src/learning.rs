@@ -268,7 +268,7 @@ pub fn table(runs: u64, first: u64) -> Table {
                 let sigma = 100.0 * rms(masses().map(|[_, sigma]| sigma));
                 table.push(Figure::at_most(label("error of a mass, %"), error, most[0], format!("σ {sigma:.3}")));
                 let worst = masses().map(|[error, _]| 100.0 * error.abs()).fold(0.0, f64::max);
-                table.push(Figure::told(label("largest error of a mass, %"), worst, String::new()));
+                table.push(Figure::untargeted(label("largest error of a mass, %"), worst, String::new()));
                 let nees = outcomes.iter().map(|o| o.nees).sum::<f64>() / outcomes.len() as f64;
                 table.push(Figure::between(label("NEES of the masses, 1 each"), nees, [0.5, 3.0], String::new()));
                 table.push(Figure::between(label("masses within their bands, %"), covered(masses()), [88.0, 100.0], String::new()));
@@ -276,9 +276,9 @@ pub fn table(runs: u64, first: u64) -> Table {
                 let common = 100.0 * rms(outcomes.iter().map(|o| o.common));
                 let apart = 100.0 * rms(outcomes.iter().flat_map(|o| o.masses.map(|[error, _]| error.ln_1p() - o.common)));
                 let sigma = 100.0 * masses().map(|[_, sigma]| sigma).fold(f64::INFINITY, f64::min);
-                table.push(Figure::told(label("common factor of the masses, %"), common, String::new()));
+                table.push(Figure::untargeted(label("common factor of the masses, %"), common, String::new()));
                 table.push(Figure::at_least(label("least standard deviation of a mass, %"), sigma, COMMON, String::new()));
-                table.push(Figure::told(label("masses about it, %"), apart, String::new()));
+                table.push(Figure::untargeted(label("masses about it, %"), apart, String::new()));
                 table.push(Figure::between(label("masses within their bands, %"), covered(masses()), [88.0, 100.0], String::new()));
             }
             let viscous = || ("a coefficient of friction, N.m.s/rad", outcomes.iter().flat_map(|o| o.viscous).collect());
@@ -290,7 +290,7 @@ pub fn table(runs: u64, first: u64) -> Table {
             };
             for (what, of) in loads.into_iter().filter(|_| learns) {
                 let [error, sigma] = [0, 1].map(|k| rms(of.iter().map(|of| of[k])));
-                table.push(Figure::told(label(&format!("error of {what}")), error, format!("σ {sigma:.2e}")));
+                table.push(Figure::untargeted(label(&format!("error of {what}")), error, format!("σ {sigma:.2e}")));
                 let inside = label(&format!("errors of {what}, within their bands, %"));
                 table.push(Figure::between(inside, covered(of.into_iter()), [88.0, 100.0], String::new()));
             }
@@ -300,7 +300,7 @@ pub fn table(runs: u64, first: u64) -> Table {
             let note = format!("of {}", outcomes.len());
             table.push(match kind.0 {
                 true => Figure::at_most(label("false alarms"), alarms, most_of(FALSE_ALARMS[usize::from(demanding)], runs), note),
-                false => Figure::told(label("false alarms"), alarms, note),
+                false => Figure::untargeted(label("false alarms"), alarms, note),
             });
             let forecasts = || outcomes.iter().flat_map(|o| o.forecasts.clone());
             let error = 1e3 * median(forecasts().map(|[error, _]| error));
@@ -316,10 +316,10 @@ pub fn table(runs: u64, first: u64) -> Table {
                 table.push(Figure::at_most(label("forecast's error, mm"), error, most[1], "median".into()));
                 table.push(Figure::at_most(label("radius over error"), wide / error, 15.0, format!("{wide:.3} mm")));
             } else {
-                table.push(Figure::told(label("forecasts within their radius, %"), inside, String::new()));
-                table.push(Figure::told(label("forecast's error, mm"), error, format!("median; radius {wide:.3} mm")));
+                table.push(Figure::untargeted(label("forecasts within their radius, %"), inside, String::new()));
+                table.push(Figure::untargeted(label("forecast's error, mm"), error, format!("median; radius {wide:.3} mm")));
             }
-            table.push(Figure::told(label("tip's error, mm"), 1e3 * median(outcomes.iter().map(|o| o.tip)), "median".into()));
+            table.push(Figure::untargeted(label("tip's error, mm"), 1e3 * median(outcomes.iter().map(|o| o.tip)), "median".into()));
             if kind.1 == Unknown::Foreign {
                 // Friction missing in a scene is learned as something else: the docs state how much, and it has no target.
                 table.figures[before..].iter_mut().for_each(Figure::demand_nothing);

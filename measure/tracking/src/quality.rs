@@ -185,7 +185,7 @@ pub fn table(seeds: u64, first: u64) -> Table {
             if judged {
                 table.push(Figure::between(format!("{label}: NEES"), nees, [2.0, 6.5], String::new()));
             } else {
-                table.push(Figure::told(format!("{label}: NEES"), nees, "stiff servos at rest: not judged".into()));
+                table.push(Figure::untargeted(format!("{label}: NEES"), nees, "stiff servos at rest: not judged".into()));
             }
         }
     }

@@ -28,7 +28,7 @@ impl Figure {
     }
 
     /// A figure without a target.
-    pub fn told(name: String, value: f64, remark: String) -> Self {
+    pub fn untargeted(name: String, value: f64, remark: String) -> Self {
         Self { name, value, allowed: None, remark }
     }
 

@@ -233,7 +233,7 @@ pub fn table(part: f64, first: u64) -> Table {
         let count = runs(100.0);
         let [lost, open] = lost(count, first + 7_320_000 + 10_000 * k as u64, &encoder, 1e-3, pushed_crossing);
         let label = format!("slow direct singularities with a push of up to 0.05 N, {}, 1 ms", encoder.name);
-        table.push(Figure::told(label, lost, format!("of {count}; undecided still: {open}")));
+        table.push(Figure::untargeted(label, lost, format!("of {count}; undecided still: {open}")));
     }
     for encoder in [COARSE, FINE] {
         let count = runs(40.0);
@@ -255,7 +255,11 @@ pub fn table(part: f64, first: u64) -> Table {
         for encoder in [COARSE, FINE] {
             let count = runs(40.0);
             let [lost, _] = lost(count, first + 7_400_000 + 10_000 * k as u64, &encoder, 1e-3, |random| vertex(random, offset));
-            table.push(Figure::told(format!("vertices, {offset} rad aside, {}, 1 ms", encoder.name), lost, format!("of {count}")));
+            table.push(Figure::untargeted(
+                format!("vertices, {offset} rad aside, {}, 1 ms", encoder.name),
+                lost,
+                format!("of {count}"),
+            ));
             (all, sum) = (all + count, sum + lost);
         }
     }
@@ -271,7 +275,7 @@ pub fn table(part: f64, first: u64) -> Table {
             let count = runs(100.0);
             let [lost, open] = lost(count, first + 7_650_000, &encoder, h, |random| fall(random, false));
             let label = format!("free falls with a sample every {} ms, {}", 1e3 * h, encoder.name);
-            table.push(Figure::told(label, lost, format!("of {count}; undecided still: {open}")));
+            table.push(Figure::untargeted(label, lost, format!("of {count}; undecided still: {open}")));
         }
     }
     for encoder in [COARSE, FINE] {

@@ -31,12 +31,12 @@ struct Outcome {
 /// A run of a machine that starts in an assembly, with a twin that starts in the right or the wrong one.
 fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), (own, wrong): (Assembly, bool), random: &mut Random) -> Outcome {
     let other = if own == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
-    let mut told = scenario.clone();
-    told.truth.start.assembly = own;
-    told.model.start.assembly = if wrong { other } else { own };
-    told.duration = told.duration.min(LONGEST);
+    let mut believed = scenario.clone();
+    believed.truth.start.assembly = own;
+    believed.model.start.assembly = if wrong { other } else { own };
+    believed.duration = believed.duration.min(LONGEST);
     let (mut outcome, mut silent, mut astray) = (Outcome::default(), 0.0, 0.0);
-    let done = follow(&told, encoder, h, random, |&Instant { time, twin, tip_error, .. }| {
+    let done = follow(&believed, encoder, h, random, |&Instant { time, twin, tip_error, .. }| {
         silent = if is_wrong_in_silence(twin, time, tip_error) { silent + h } else { 0.0 };
         outcome.silent |= silent >= SILENT.2;
         let undoubted = twin.status() != Status::TwoBranches;
