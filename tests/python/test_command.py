@@ -54,8 +54,8 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["fly"], "fivebar: No such command 'fly'; `fivebar --help` says how it is called"),
-        (["run"], "fivebar run: Missing argument 'SCENE|FILE'; `fivebar run --help` says how it is called"),
+        (["fly"], "fivebar: No such command 'fly'; `fivebar --help` shows the usage"),
+        (["run"], "fivebar run: Missing argument 'SCENE|FILE'; `fivebar run --help` shows the usage"),
         (["run", "--fast"], "fivebar run: No such option '--fast'"),
         (["run", "fly"], "fivebar run: there is no scene 'fly'; there are bounce, "),
         (["run", ""], "fivebar run: there is no scene ''; there are"),
@@ -78,10 +78,10 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
         (["run", "swing", "--set", "init.theta[1]=3.2", "--set", "init.theta[2]=0"], "fivebar run: "),
         (["run", "swing", "--fmu", "none.fmu"], "fivebar run: there is no .fmu at none.fmu"),
         (["ensemble", "--vary", "foo=1"], "fivebar ensemble: foo cannot be varied: foo is no parameter of the machine; "),
-        (["run", "swing", "--out", "/proc/nowhere"], "fivebar run: out is /proc/nowhere; a folder that is there or can be made is needed: "),
+        (["run", "swing", "--out", "/proc/nowhere"], "fivebar run: out is /proc/nowhere; a folder that exists or can be made is needed: "),
         (["replay", "none"], "fivebar replay: there is no record at none"),
         (["calibrate"], "fivebar calibrate: a FILE is needed"),
-        (["ensemble", "--scene", "swing", "--state", "x"], "fivebar ensemble: --scene and --state are two starts, and one is needed"),
+        (["ensemble", "--scene", "swing", "--state", "x"], "fivebar ensemble: --scene and --state are both given; one start is needed"),
         (["ensemble", "--members", "many"], "fivebar ensemble: Invalid value for '--members': 'many' is not a valid integer"),
         (["what-if"], "fivebar what-if: Missing option '--config'"),
         (["soak", "--hours", "0"], "fivebar soak: hours are 0; more than 0"),
@@ -228,7 +228,7 @@ def test_an_error_of_this_program_is_a_sentence(
     assert main(["scenes"]) == 1
     assert (
         capsys.readouterr().err
-        == "fivebar scenes: an error of this program, KeyError: 'surprise'; with FIVEBAR_TRACEBACK=1 it says where\n"
+        == "fivebar scenes: an error of this program, KeyError: 'surprise'; FIVEBAR_TRACEBACK=1 shows the traceback\n"
     )
     monkeypatch.setenv("FIVEBAR_TRACEBACK", "1")
     with pytest.raises(KeyError):

@@ -532,7 +532,7 @@ def test_the_command_refuses(tmp_path: Path, fmu: Path) -> None:
             "meets a direct singularity of working mode minusPlus",
         ),
         (("fall_90_120", LOGO, "--at", "0.2,0.2"), "servo.enabled = false"),
-        (("pick_and_place", LOGO, "--at", "here"), "is no place X,Y in m"),
+        (("pick_and_place", LOGO, "--at", "here"), "is not a place X,Y in m"),
         (("pick_and_place", LOGO), "Missing option '--at'"),
         (("pick_and_place", LOGO, "--at", "0.05,0.26", "--speed", "0"), "0.0 is not in the range x>0"),
         (("pick_and_place", "none.svg", "--at", "0.05,0.26"), "none.svg: it cannot be read"),

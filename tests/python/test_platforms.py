@@ -275,7 +275,9 @@ def test_machines_are_followed(model: ModelDescription, expected: Printed) -> No
     items = {int(item.value): item.name for item in status.declaredType.items}
     for name in methods(model):
         (lines,) = expected[f"followed_{name}"]
-        statuses = [items[int(line.split()[1 + names.index(status.name)])] for line in lines if line.startswith("integers")]
+        statuses = [
+            items[int(line.split()[1 + names.index(status.name)])] for line in lines if line.startswith("integers")
+        ]
         assert statuses.count("following") > 50 and statuses[-1] == "coasting", name
 
 

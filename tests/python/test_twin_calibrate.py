@@ -406,7 +406,7 @@ def test_unidentifiable_parameters_are_refused_and_named(
         and not unknowns["link.mass"]["identified"]
     )
     # The refusal comes with the first longer pieces, not after minutes.
-    assert "these pieces tell 2 of 3 combinations of the unknowns" in capsys.readouterr().err
+    assert "these pieces identify 2 of 3 combinations of the unknowns" in capsys.readouterr().err
     (sentence,) = figures["not_identified"]
     assert re.fullmatch("a common factor of (payload.mass, link.mass|link.mass, payload.mass): .*", sentence), sentence
     assert code == (0 if unknowns["encoder.offset[1]"]["identified"] else 1)
@@ -833,7 +833,7 @@ def test_a_fit_that_does_not_converge_ends(
     printed = capsys.readouterr()
     assert "the fit did not converge within 0.05 s of CPU" in printed.err
     # The motion is planned for the scene's machine, whatever the record is.
-    assert "a motion that would tell payload.mass to ±" in printed.out and (tmp_path / "out" / "proposal.json").is_file()
+    assert "a motion to identify payload.mass to ±" in printed.out and (tmp_path / "out" / "proposal.json").is_file()
     assert "--fmu" not in printed.out
 
 

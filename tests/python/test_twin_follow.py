@@ -327,7 +327,9 @@ def test_a_record_is_replayed_to_the_bit(config: Config, library: Library, fmu: 
     assert summary["tip_error_mm"]["rms"] < 0.1
 
 
-def test_a_replay_reports_differences_and_missing_rows(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
+def test_a_replay_reports_differences_and_missing_rows(
+    config: Config, library: Library, fmu: Path, tmp_path: Path
+) -> None:
     run = recorded(config, library, 500)
     table = pq.read_table(run.folder)
 

@@ -205,9 +205,7 @@ def test_lengths_and_encoder_offsets_are_written_together(tmp_path: Path, fmu: P
     assert all(f"{values[name]:.6g} rad for measured.theta{name[-3:]}" in made.notes[-1] for name in OFFSETS)
 
 
-def test_a_calibration_starts_from_encoder_offsets_and_writes_them(
-    tmp_path: Path, fmu: Path, library: Library
-) -> None:
+def test_a_calibration_starts_from_encoder_offsets_and_writes_them(tmp_path: Path, fmu: Path, library: Library) -> None:
     """Offsets may be unknowns or not; the written scene has them. Residuals are the encoder's steps, 0.03 mrad, instead of 1 mrad."""
     offsets = dict(zip(OFFSETS, (1e-3, -1.5e-3), strict=True))
     config = configured(tmp_path, fmu, library, "fall_90_120", exact=True)

@@ -432,9 +432,9 @@ def test_a_clock_set_ahead_and_back_refuses_no_later_samples() -> None:
         jump = HOUR if 100 <= seq < 200 else 0
         assert admit(intake, 1000 + seq, now + jump, now) in ("new", "series")
     again = [admit(intake, seq, now + PERIOD_NS * (seq + 1), now + PERIOD_NS * (seq + 1)) for seq in range(100)]
-    assert again[: CONSISTENT + 1] == ["refused"] * (CONSISTENT - 1) + ["series", "new"] and set(again[CONSISTENT:]) == {
-        "new"
-    }
+    assert again[: CONSISTENT + 1] == ["refused"] * (CONSISTENT - 1) + ["series", "new"] and set(
+        again[CONSISTENT:]
+    ) == {"new"}
 
 
 @pytest.mark.parametrize("first", [True, False])

@@ -136,9 +136,9 @@ class Around:
         """Updates with a sample."""
         self.filter.update(measured)
         if not np.isfinite(self.filter.x).all():
-            self.begin_anew(measured)
+            self.restart(measured)
 
-    def begin_anew(self, angles: np.ndarray) -> None:
+    def restart(self, angles: np.ndarray) -> None:
         """Resets mean and covariance if the mean is not finite or the covariance cannot be factored."""
         self.filter.x = np.array([*angles, 0.0, 0.0, 0.0, 0.0])
         self.filter.P = self.first.copy()
@@ -164,7 +164,7 @@ class Around:
         try:
             self.filter.predict()
         except (np.linalg.LinAlgError, ValueError):
-            self.begin_anew(measured)
+            self.restart(measured)
         self.assembly = next_assembly
 
 

@@ -49,7 +49,7 @@ __all__ = [
     "unit",
 ]
 
-# The packages that compute and draw are loaded by what needs them: the command line answers at once.
+# Packages that compute or draw are imported at first use, so that the command line answers at once.
 _MODULES = {
     "FiveBarError": "errors",
     "Machine": "kinematics",
@@ -60,7 +60,7 @@ _MODULES = {
     "Unit": "instance",
     "UnitError": "errors",
 }
-"""Modules of the names that are loaded when they are asked for."""
+"""Modules of the names that are imported at first use."""
 
 
 def __getattr__(name: str) -> Any:
@@ -85,20 +85,20 @@ def unit(
     naming: "Naming" = "structured",
     folder: str | Path | None = None,
 ) -> Path:
-    """The path of the shipped .fmu, for any FMI 2.0 master; in a checkout that which `cargo xtask package` has packed.
+    """The path of the shipped .fmu, for any FMI 2.0 master; in a checkout, of the .fmu from `cargo xtask package`.
 
-    With an argument it is the path of a unit that is written for it.
+    With an argument, a unit with these properties is written, and its path returned.
 
     Parameters
     ----------
     scene
         Start values, experiment and description of the unit: a scene as `run` takes it.
     name
-        Name of the unit; unless given FiveBar, or that of the scene in CamelCase.
+        Name of the unit. The default is FiveBar, or the scene's name in CamelCase.
     naming
         `"flat"` for masters that make buses of `tip.x` and `tau[1]`.
     folder
-        Where it is written, the current folder unless given.
+        Folder of the written unit. The default is the current folder.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def unit(
     Raises
     ------
     FiveBarError
-        If there is none, or what is given is refused.
+        If there is no unit, or an argument is refused.
 
     Examples
     --------
@@ -158,25 +158,25 @@ def run(
     on_failure: "OnFailure" = "raise",
     **values: "Value | str",
 ) -> "Result":
-    """Runs a scene and returns what the unit computes at every communication point.
+    """Runs a scene and returns the computed variables at every communication point.
 
     Parameters
     ----------
     scene
         The name of a shipped scene, a file that ends in .json, the content of such a file as a dict, or a `fivebar.Scene`.
     method
-        An item of `solver.method` in the place of the scene's own.
+        An item of `solver.method` instead of the scene's.
     stop_time, step_size
-        How long the scene is followed, and from one communication point to the next, s; the scene's own unless given.
+        Stop time and time between communication points, s, instead of the scene's.
     outputs
-        Columns of the tables, by names or how these begin, such as `("tip", "energy.error")`; all unless given. To read all takes several
+        Columns of the tables by names or prefixes, such as `("tip", "energy.error")`. The default is all, and reading all takes several
         times as long as the steps.
     inputs
-        Inputs that change, each held over the step that follows: a dict of name and number, values at the communication points, or a pair
-        (times, values) that straight lines join; a frame of pandas with a column or index `time`; or a function of time that returns a dict.
+        Time-varying inputs, constant during each step: a dict from name to a number, values at the communication points, or a pair (times,
+        values) for linear interpolation; a pandas frame with a column or index `time`; or a function of time that returns a dict.
     on_failure
-        `"raise"`: a step that fails raises `StepFailed`, whose `result` is that of the run up to then. `"return"`: this short result is
-        returned, and its `failure` says why.
+        `"raise"`: a failed step raises `StepFailed`, and its `result` has the run up to the failure. `"return"`: the incomplete result is
+        returned, and its `failure` has the reason.
     **values
         Start values by variable, in the variable's unit, enumerations by the names of their items.
 
@@ -188,7 +188,7 @@ def run(
     Raises
     ------
     FiveBarError
-        A ValueError of one sentence, if the scene, the method, an input or a value is refused; `StepFailed` is one.
+        If the scene, the method, an input or a value is refused: a ValueError with one sentence. `StepFailed` is a subclass.
 
     Examples
     --------
@@ -223,31 +223,31 @@ def run_many(
 ) -> list[Any]:
     """Runs a scene with many start values, or many scenes, on the processors of this machine, and returns a list of results in their order.
 
-    A script calls it below `if __name__ == "__main__":`, for each process imports the script.
+    A script must call it below `if __name__ == "__main__":`, because each process imports the script.
 
     Parameters
     ----------
     scene
         A scene as `run` takes it, or a list of scenes.
     values
-        A dict of start values for each run; with a list of scenes as many.
+        A dict of start values for each run; with a list of scenes, one for each scene.
     method, stop_time, step_size, outputs, inputs
-        As for `run`, the same for all runs. Inputs that differ go into the scenes: `scene.replace(inputs=...)`.
+        As for `run`, the same for all runs. Set different inputs in the scenes: `scene.replace(inputs=...)`.
     on_failure
-        `"raise"`: the first run that fails ends all, with its `StepFailed` or the FiveBarError of a start that is refused. `"return"`: the list has this
-        error in the place of the result.
+        `"raise"`: the first failed run ends all, with its `StepFailed` or the FiveBarError of a refused start. `"return"`: the list has this
+        error in place of the result.
     reduce
-        A function called with each result in the process that has it; the list has what it returns. Processes import it by its name: a lambda, or a
-        function inside another one, needs `processes=1`.
+        A function of a result, called in the process of the run; the list has its return values. Processes import it by name, so a lambda or
+        a nested function needs `processes=1`.
     processes
-        How many processes, as many as there are processors unless given; with 1 all runs are in this process.
+        Number of processes. The default is the number of processors; with 1 all runs are in this process.
     progress
-        Whether a line on standard error says how many runs are done.
+        Whether to show the number of finished runs on standard error.
 
     Returns
     -------
     list of Result
-        One result for each run; or what `reduce` returns, or with `on_failure="return"` the error of a run that failed.
+        One result for each run, or the return value of `reduce`, or with `on_failure="return"` the error of a failed run.
 
     Raises
     ------
@@ -293,19 +293,19 @@ def calibrate(
         A record of the twin or a table as a file, or columns as a dict, a `Result` or a frame of pandas: `time`, s, `measured.theta[1]` and
         `measured.theta[2]` (or `theta[1]` and `theta[2]`), rad, and the commands of the drives, such as `servo.theta[1]` and `tau[1]`.
     scene
-        What the machine is taken for before, as `run` takes it; the scene of a record of the twin, or else the unit's own values, unless given.
+        The assumed machine: a scene as `run` takes it. The default is the scene of a record of the twin, or else the unit's start values.
     parameters
-        Names of what is sought, groups as `link[1,4].mass`; what is usual unless given.
+        Names of the unknowns, or groups such as `link[1,4].mass`. The default is the usual unknowns.
     begin, seconds
-        Part of the record that is used, s, from its first sample on.
+        Used part of the record: begin, s after its first sample, and length, s.
     longest
         Series longer than this, s, are cut.
     commands
-        What drives do between samples: `"rate"`, `"linear"` or `"hold"`, as for the inputs of `run`.
+        Commands of the drives between samples: `"rate"` (extrapolated by the rate), `"linear"` or `"hold"` (constant, as the inputs of `run`).
     patience
-        Seconds of CPU after which the fit is given up.
+        CPU time, s, after which the fit is abandoned.
     unit
-        Which machine, if a record of the twin has several.
+        Name of the machine, if a record of the twin has several.
     fmu
         Another unit than the shipped one.
 
@@ -313,12 +313,12 @@ def calibrate(
     -------
     Calibration
         `values`, `bars`, `units`, `correlations`, `not_identified` and `warning`; `summary()`, `pictures(folder)` and `scene()`, the calibrated
-        machine. What the record does not tell has no value. Steps of the fit go to the logger `fivebar` at level `INFO`.
+        machine. Unknowns that are not identified have no value. Steps of the fit go to the logger `fivebar` at level `INFO`.
 
     Raises
     ------
     FiveBarError
-        If the record, the scene or a name is refused, or the fit is given up.
+        If the record, the scene or a name is refused, or the fit is abandoned.
 
     Examples
     --------

@@ -30,7 +30,7 @@ ABOVE: Final[dict[str, Any]] = {"loc": "lower right", "bbox_to_anchor": (1, 1.0)
 STYLE: Final["dict[RcKeyType, Any]"] = {
     "figure.dpi": 120,
     "figure.constrained_layout.use": True,
-    # Where a tight layout begins: near its end, so that the ticks fit.
+    # Start of the tight layout: near its result, so that the ticks fit.
     "figure.subplot.left": 0.08,
     "figure.subplot.right": 0.98,
     "figure.subplot.bottom": 0.08,

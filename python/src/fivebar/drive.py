@@ -1,4 +1,4 @@
-"""Drives one run of the unit and records what it computes at every communication point."""
+"""Drives one run of the unit and records its variables at every communication point."""
 
 import math
 import time
@@ -18,9 +18,9 @@ from fivebar.scene import Scene, Variant, communication_points
 
 @dataclass
 class Run:
-    """Results of one run: one row per communication point, the first at the start; the variables that were read, then the scene's signals.
+    """Results of one run: one row per communication point, the first at the start. Columns: the read variables, then the scene's signals.
 
-    `items` has the names of the values of each variable that is an enumeration, `descriptions` a sentence on each variable.
+    `items` has the names of the items of each enumeration, `descriptions` a sentence on each variable.
     """
 
     label: str
@@ -51,11 +51,11 @@ class Run:
 
     @property
     def failed(self) -> bool:
-        """Whether the run ended before its time."""
+        """Whether the run ended early."""
         return self.failure is not None
 
     def part(self, rows: slice) -> "Run":
-        """The run at some of its communication points. Times of calls are those of a whole run, and are left out."""
+        """The run at some of its communication points, without times of calls."""
         columns = {name: column[rows] for name, column in self.columns.items()}
         ends = len(columns["time"]) > 0 and columns["time"][-1] == self.time[-1]
         return replace(self, columns=columns, call_seconds=[], wall_seconds=0.0, failure=self.failure if ends else None)
@@ -89,7 +89,7 @@ class _Recorder:
 
 
 class Progress(Line):
-    """A line with simulated time, speed and time to go: about 5 times a second on a terminal, every 10 % elsewhere."""
+    """A line with simulated time, speed and remaining time: about 5 times a second on a terminal, every 10 % elsewhere."""
 
     def __init__(self, label: str, stop_time: float, stream: TextIO | None = None):
         super().__init__(stream)
@@ -117,7 +117,7 @@ class Progress(Line):
 
 
 class _Signals:
-    """The scene's signals: each is set at the communication point and held over the step that follows."""
+    """The scene's signals: each is set at a communication point and constant during the next step."""
 
     def __init__(self, unit: Unit, scene: Scene):
         self.unit = unit
@@ -136,9 +136,9 @@ def drive(
     progress: Progress | None = None,
     outputs: Collection[str] | None = None,
 ) -> Run:
-    """Runs `variant` of `scene`. A step that fails ends the run, not the program.
+    """Runs `variant` of `scene`. A failed step ends the run without an exception.
 
-    `outputs` are names of variables; only they are read, for reading all that the unit computes takes several times as long as a step.
+    Only the variables `outputs` are read, because reading all takes several times as long as a step.
     """
     begin = time.perf_counter()
     known = library.known
@@ -182,7 +182,7 @@ def drive(
 def _step(
     unit: Unit, points: np.ndarray, signals: _Signals, recorder: _Recorder, progress: Progress | None
 ) -> tuple[list[float], str | None]:
-    """Steps through `points`; seconds that each step took, and the unit's sentence if a call failed."""
+    """Steps through `points`; returns the seconds of each step, and the unit's sentence if a call failed."""
     clock = time.perf_counter
     seconds: list[float] = []
     for row, then in enumerate(points[1:].tolist()):

@@ -61,7 +61,7 @@ class Block:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """C arrays are made again where the block is unpickled."""
+        """Unpickling makes new C arrays."""
         return Block.of, (self.getter.removeprefix("fmi2Get"), list(self.references), self.places)
 
 
@@ -87,7 +87,7 @@ class Library:
         self._reals: dict[tuple[str, ...], Block | None] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Extracted and loaded again where it is unpickled."""
+        """Unpickling extracts and loads the unit again."""
         return _again, (self.fmu, self.guid)
 
     @cached_property

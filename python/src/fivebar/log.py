@@ -1,4 +1,4 @@
-"""Messages of the unit: each is kept, and goes to Python's logging."""
+"""Messages of the unit: each is stored, and goes to Python's logging."""
 
 import logging
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from fmpy import fmi2
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 logger = logging.getLogger("fivebar.unit")
-# A program that has not set up logging is not answered on its standard error.
+# Without logging set up, nothing appears on standard error.
 logging.getLogger("fivebar").addHandler(logging.NullHandler())
 
 
@@ -19,7 +19,7 @@ class Message:
 
     instance: str
     status: int
-    """Number of FMI's status: 0 is OK, 1 a warning, more a call that failed."""
+    """Number of FMI's status: 0 is OK, 1 a warning, more a failed call."""
 
     category: str
     text: str
@@ -29,13 +29,13 @@ class Message:
 
 
 def callbacks(keep: Callable[[Message], None]) -> fmi2.fmi2CallbackFunctions:
-    """What an instance calls; it has to live as long as the instance."""
+    """Callbacks of an instance; they must live as long as the instance."""
 
     def append(_environment: int | None, instance: bytes, status: int, category: bytes, text: bytes) -> None:
-        # The text is a printf format by contract: a percent sign comes doubled.
+        # The standard makes the text a printf format: percent signs are doubled.
         sentence = text.decode(errors="replace").replace("%%", "%")
         keep(Message(instance.decode(errors="replace"), status, category.decode(), sentence))
-        # A call that fails is raised as well.
+        # A failed call also raises an exception.
         logger.log(logging.WARNING if status == fmi2.fmi2Warning else logging.DEBUG, "%s", sentence)
 
     found = fmi2.fmi2CallbackFunctions()

@@ -27,7 +27,7 @@ MOST_PROCESSES = 61
 Given = str | Path | Mapping[str, Any] | Scene
 Reduce = Callable[[Result], Any]
 Outcome = tuple[int, FiveBarError | None, Any]
-"""Number of a run, the error if it has no complete result, and its result."""
+"""Number of a run, its error if it is incomplete, and its result."""
 
 
 def run_many(
@@ -50,7 +50,7 @@ def run_many(
     _check_reduction(reduce, count)
     try:
         tasks = [(number, scene, columns, reduce) for number, scene in enumerate(ready)]
-        # Closed at once: an error that a notebook keeps would keep the processes.
+        # Close at once: a notebook that stores an error would keep the processes alive.
         with closing((_run(task) for task in tasks) if count <= 1 else _in_processes(tasks, count)) as outcomes:
             for done, (number, failure, result) in enumerate(outcomes, 1):
                 if failure is not None and on_failure == "raise":
@@ -64,7 +64,7 @@ def run_many(
 
 
 def _check_reduction(reduce: Reduce | None, count: int) -> None:
-    """Raises FiveBarError if `reduce` is no function, or none that `count` processes can have."""
+    """Raises FiveBarError if `reduce` is not a function, or cannot be sent to `count` processes."""
     if reduce is None:
         return
     if not callable(reduce):
@@ -89,18 +89,18 @@ def _scenes(
     bases = [scenes.read(given)] if one else [scenes.read(each) for each in given]  # type: ignore[union-attr,arg-type]
     if values is not None and (isinstance(values, Mapping) or not isinstance(values, Iterable)):
         raise FiveBarError(f"'values' must be a list of dicts, one for each run, not {shown(values)}")
-    told = [{}] * len(bases) if values is None else list(values)
+    overrides = [{}] * len(bases) if values is None else list(values)
     if one:
-        bases *= len(told)
-    if len(bases) != len(told):
+        bases *= len(overrides)
+    if len(bases) != len(overrides):
         raise FiveBarError(
-            f"there are {len(bases)} scenes and {len(told)} dicts of values: one scene, or one for each dict, is needed"
+            f"there are {len(bases)} scenes and {len(overrides)} dicts of values: one scene, or one for each dict, is needed"
         )
-    for number, own in enumerate(told):
+    for number, own in enumerate(overrides):
         if not isinstance(own, Mapping):
             raise FiveBarError(f"'values' must be a list of dicts, and has {shown(own)} for run {number}")
     ready = []
-    for number, (base, own) in enumerate(zip(bases, told)):
+    for number, (base, own) in enumerate(zip(bases, overrides)):
         try:
             ready.append(base.replace(own, **changes))
         except FiveBarError as error:

@@ -1,4 +1,4 @@
-"""What the motors of a run do: how well servos follow, torques and rates, saturation, stops. The summary begins with it."""
+"""The motors of a run, for the beginning of the summary: errors of servos, torques, rates, saturation, stops."""
 
 import math
 from collections.abc import Mapping
@@ -17,16 +17,16 @@ Floats = NDArray[np.float64]
 SIDES = ((1, "left"), (2, "right"))
 
 SATURATED = math.tanh(1.0)
-"""Share of `servo.limit` that the torque limit·tanh(u/limit) has where the torque u of the gains reaches the limit."""
+"""Torque limit·tanh(u/limit) over the limit, at u = limit: from here on a servo counts as saturated."""
 
 
 def facts(run: Run, values: Mapping[str, Value], tip: Tip | None) -> list[tuple[str, str]]:
-    """Names and texts of what the scene has; `values` are all start values of the run, `tip` its part in the tip's coordinates."""
+    """Lines for the parts that the scene has, as (name, text); `values` are all start values of the run, `tip` is its part in the tip's coordinates."""
     return [*_tracking(run, values, tip), *_driven(run, values), *_stops(run)]
 
 
 def _tracking(run: Run, values: Mapping[str, Value], tip: Tip | None) -> list[tuple[str, str]]:
-    """Errors of the motors whose servos have a gain of position, and of the tip if it has references."""
+    """Errors of motors with a position gain, and of the tip if it has references."""
     if not run.parameters["servo.enabled"]:
         return []
     found = [
@@ -41,7 +41,7 @@ def _tracking(run: Run, values: Mapping[str, Value], tip: Tip | None) -> list[tu
 
 
 def _driven(run: Run, values: Mapping[str, Value]) -> list[tuple[str, str]]:
-    """Torques of the motors that have some, rates of both, and how long servos are saturated."""
+    """Torques of driven motors, rates of both motors, and how long servos are saturated."""
     servo = {(i, side): run[f"servo.torque[{i}]"] for i, side in SIDES}
     torques = {side: own + _course(run, values, f"tau[{i}]") for (i, side), own in servo.items()}
     found = [(f"torque, {side}", _sizes(run, torque, "N.m")) for side, torque in torques.items() if np.any(torque)]
@@ -56,7 +56,7 @@ def _driven(run: Run, values: Mapping[str, Value]) -> list[tuple[str, str]]:
 
 
 def _stops(run: Run) -> list[tuple[str, str]]:
-    """How often and how far the motors go into their stops, or how far they stay from them."""
+    """How often and how far the motors enter their stops, or their least distance from them."""
     reached = [row.where for row in events.stops(run) if row.event == "stop reached"]
     found = []
     for i, side in SIDES if run.parameters["stop.enabled"] else ():

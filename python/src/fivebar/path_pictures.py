@@ -37,7 +37,7 @@ WIDTH = 7.2
 """Width of a picture, inches."""
 
 REACHED = "#e9eef3"
-TOLD = "#9ecae8"
+COMMANDED = "#9ecae8"
 """Colour of the commanded line, a band below the drawn line."""
 
 BUCKETS = 400
@@ -202,8 +202,15 @@ def _overview(axes: Axes, made: Plan) -> None:
 def _lines(axes: Axes, outcome: Outcome, band: float, line: float) -> None:
     """Draws the commanded path as a band and the path of the tip with the pen down as a line."""
     made = outcome.plan
-    for told, done in zip(strokes_of(made.tip, made.pen), strokes_of(outcome.tip, made.pen)):
-        axes.plot(*(told.T * MM), color=TOLD, linewidth=band, zorder=5, solid_capstyle="round", solid_joinstyle="round")
+    for commanded, done in zip(strokes_of(made.tip, made.pen), strokes_of(outcome.tip, made.pen)):
+        axes.plot(
+            *(commanded.T * MM),
+            color=COMMANDED,
+            linewidth=band,
+            zorder=5,
+            solid_capstyle="round",
+            solid_joinstyle="round",
+        )
         axes.plot(*(done.T * MM), color=BLACK, linewidth=line, zorder=6, solid_joinstyle="round")
 
 
@@ -224,7 +231,7 @@ def _sheet(axes: Axes, outcome: Outcome, window: Floats) -> None:
         axes.plot(*(way.T * MM), color=GREY, linewidth=0.6, linestyle=(0, (2, 3)), zorder=3)
     _frame(axes, np.concatenate([made.tip, outcome.tip, window]), 0.03)
     handles = [
-        Line2D([], [], color=TOLD, linewidth=3.2, label="commanded"),
+        Line2D([], [], color=COMMANDED, linewidth=3.2, label="commanded"),
         Line2D([], [], color=BLACK, linewidth=0.9, label="done by the machine"),
     ]
     if lifted:

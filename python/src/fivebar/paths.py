@@ -140,9 +140,9 @@ def plan(
         )
     check(scene, machine, mode, sequence)
     with Demand(scene, machine.inverse(sequence[0].curves[0, 0], mode).theta) as demand:
-        told = [max(1, math.ceil(timing.duration(piece.length) / step - 1e-9)) for piece in sequence]
+        fewest = [max(1, math.ceil(timing.duration(piece.length) / step - 1e-9)) for piece in sequence]
         counts = [
-            _enough(piece, timing, count, step, machine, mode, limits, demand) for piece, count in zip(sequence, told)
+            _enough(piece, timing, count, step, machine, mode, limits, demand) for piece, count in zip(sequence, fewest)
         ]
         tip, velocity, acceleration, pen = _schedule(sequence, timing, counts, step)
         posture = machine.inverse(tip, mode)
@@ -161,7 +161,7 @@ def plan(
         theta,
         omega,
         torque,
-        sum(map(int.__ne__, counts, told)),
+        sum(map(int.__ne__, counts, fewest)),
     )
 
 

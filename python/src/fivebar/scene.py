@@ -1,6 +1,6 @@
-"""Scenes: start values by name, inputs that change, further runs to compare with. docs/scenes.md describes the files of scenes/.
+"""Scenes: start values by name, time-varying inputs, overlays to compare with. docs/scenes.md describes the files of scenes/.
 
-A file is read, checked and resolved here, by the names, types, bounds and start values of the unit's own model description.
+This module reads, checks and resolves a file, using names, types, bounds and start values of the unit's model description.
 """
 
 import json
@@ -24,7 +24,7 @@ from fivebar.variables import Value, Values, Variable, Variables, meant, of_unit
 METHOD, ADAPTIVE = "solver.method", "solver.adaptive"
 
 MOST_POINTS = 1_000_000
-"""Communication points of a run, at most: each has a row of some 150 numbers."""
+"""Largest number of communication points of a run: each has a row of some 150 numbers."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class Variant:
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene: start values, inputs that change, and runs to compare with.
+    """A scene: start values, time-varying inputs, and overlays to compare with.
 
-    `variants[0]` is the scene itself, the others are its overlays. `signals` are the inputs that change, by name, each sampled at
-    the communication points: (n,), in the unit of the variable.
+    `variants[0]` is the scene itself, the others are its overlays. `signals` has the values of time-varying inputs by name at the
+    communication points: (n,), in the unit of the variable.
 
     Examples
     --------
@@ -53,31 +53,31 @@ class Scene:
     name: str
     description: str
     stop_time: float
-    """How long it is followed, s."""
+    """Stop time, s."""
 
     step_size: float
-    """The communication step, s."""
+    """Communication step, s."""
 
     variants: list[Variant]
     signals: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     variables: Variables = field(default_factory=of_unit, repr=False, compare=False)
-    """Those of the unit that the scene is for."""
+    """Variables of the scene's unit."""
 
     offsets: Mapping[str, float] = field(default_factory=dict)
-    """Mounting angles of the machine's encoders that are not 0, rad, by key: known to those who feed a unit with samples, not to the unit."""
+    """Encoder offsets that are not 0, rad, by key. The unit does not know them; the source of its samples applies them."""
 
     tip: tip_scenes.Tip | None = field(default=None, repr=False)
     """Part of the scene's file in the tip's coordinates."""
 
     assumed: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
-    """Notes on what the scene does not say: `stop time`, `method`."""
+    """Notes on assumed settings: `stop time`, `method`."""
 
     knots: Mapping[str, Signal] = field(default_factory=dict, repr=False, compare=False)
-    """Signals as the scene's file has them, by name: from these come the samples at other communication points."""
+    """Signals of the scene's file by name, for sampling at other communication points."""
 
     @property
     def start(self) -> Mapping[str, Value]:
-        """The unit's own start values."""
+        """The unit's start values."""
         return self.variables.start
 
     @classmethod
@@ -109,11 +109,11 @@ class Scene:
 
     @property
     def values(self) -> Values:
-        """Start values of the scene itself that differ from the unit's."""
+        """Start values of the scene's own run that differ from the unit's."""
         return self.variants[0].values
 
     def __getitem__(self, name: str) -> Value:
-        """The value of a variable: that of the scene, or else the unit's start value. Raises FiveBarError if the unit has no such start value."""
+        """The scene's value of a variable, or else the unit's start value. Raises FiveBarError if the unit has no such start value."""
         return self.values.get(name, self.start[self.variables.settable(name).name])
 
     @property
@@ -122,14 +122,14 @@ class Scene:
         return communication_points(self.stop_time, self.step_size)
 
     def coarser(self, step_size: float, stop_time: float = math.inf) -> "Scene":
-        """The scene with longer communication steps: as few of its own steps in one as last `step_size`.
+        """The scene with longer communication steps: the smallest multiple of its own step that is at least `step_size`.
 
         Parameters
         ----------
         step_size : float
             Least length of a step, s.
         stop_time : float, optional
-            Where it ends, s, if that is earlier than the scene's own end.
+            Stop time, s, if earlier than the scene's.
 
         Returns
         -------
@@ -166,24 +166,24 @@ class Scene:
         inputs: Inputs | None = None,
         **more: Any,
     ) -> "Scene":
-        """The scene with another method, stop time, step, inputs or start values, which are checked as those of a file are.
+        """The scene with another method, stop time, step, inputs or start values, all checked as in a file.
 
         Parameters
         ----------
         values, **more
-            Start values by the variable's name, as a dict or as `**{"link[1].mass": 0.02}`; enumerations by the names of their items. A run
-            that the scene is compared with keeps what it changes itself.
+            Start values by the variable's name, as a dict or as `**{"link[1].mass": 0.02}`; enumerations by the names of their items. Overlays
+            keep their own changes.
         method
             An item of `solver.method`.
         stop_time, step_size
-            How long the scene is followed, and from one communication point to the next, s.
+            Stop time and communication step, s.
         inputs
-            In the place of signals and values that the scene gives them, as for `fivebar.run`.
+            Inputs as for `fivebar.run`; they replace the scene's signals and values of these inputs.
 
         Returns
         -------
         Scene
-            The changed scene; this one stays as it is.
+            The changed scene; this one is unchanged.
 
         Raises
         ------
@@ -230,10 +230,10 @@ class Scene:
         )
 
     def with_method(self) -> "Scene":
-        """The scene by the method `automatic`, if nothing asks for another one.
+        """The scene with the method `automatic`, unless it chooses another one.
 
-        A scene does by naming one, by `solver.adaptive`, which only `i3alp` reads, or by a run to compare with that is called `automatic`; a
-        unit of one's own by its start value.
+        A scene chooses a method by its name, by `solver.adaptive` (which only `i3alp` reads), or by an overlay with the method `automatic`; a
+        unit of one's own chooses it by its start value.
 
         Returns
         -------
@@ -253,7 +253,7 @@ class Scene:
         return replace(self.replace(method="automatic"), assumed={**self.assumed, "method": note})
 
     def _settable(self, name: str) -> Variable:
-        """The parameter or input of that name."""
+        """The parameter or input with this name."""
         if name.replace("_", "").lower() in (key.lower() for key in scene_file.SECONDS):
             raise FiveBarError(
                 f"{name!r} is no variable: stop_time and step_size, s, are arguments of their own, and stopTime and stepSize stand in the key "
@@ -262,7 +262,7 @@ class Scene:
         return self.variables.settable(name)
 
     def _signal(self, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A signal at other communication points; without knots each sample holds until the next. Refuses points after the last sample."""
+        """A signal at other communication points; without knots it is constant between samples. Refuses points after the last sample."""
         if np.array_equal(points, self.time):
             return self.signals[name]
         if name in self.knots:
@@ -276,19 +276,19 @@ class Scene:
         return known[rows]
 
     def _unplaced(self, values: Values) -> Values:
-        """The values of a run without a start that follows from the tip's place."""
+        """The values of a run without initial angles that follow from the tip's place."""
         if self.tip is None:
             return values
         free = {name: value for name, value in values.items() if name not in tip_scenes.START}
         return free if self.tip.placed(free, self.start) == values else values
 
     def resolved(self) -> dict[str, Any]:
-        """The scene with nothing left to look up, in terms of JSON.
+        """The completely resolved scene, as values for JSON.
 
         Returns
         -------
         dict
-            `name`, `description`, `stopTime`, `stepSize`, `variants` with values as calls carry them, and `signals` at every communication point.
+            `name`, `description`, `stopTime`, `stepSize`, `variants` with values for calls, and `signals` at every communication point.
 
         Examples
         --------
@@ -307,7 +307,7 @@ class Scene:
 
 
 def communication_points(stop_time: float, step_size: float) -> NDArray[np.float64]:
-    """0, H, 2H, ... and the stop time, s: (n,); a remainder within rounding is no step of its own."""
+    """Communication points 0, H, 2H, ... and the stop time, s: (n,); a remainder within rounding does not add a step."""
     steps = stop_time / step_size - 1e-9
     if not steps < MOST_POINTS:
         raise FiveBarError(
@@ -319,8 +319,8 @@ def communication_points(stop_time: float, step_size: float) -> NDArray[np.float
 
 
 def read(given: "str | Path | Mapping[str, Any] | Scene", variables: Variables | None = None) -> Scene:
-    """A scene for the unit whose variables are given: the shipped one of a name, one in a file that ends in .json, or the content of such a
-    file, in which the description may be missing. A `Scene` is one already.
+    """A scene for a unit with the variables `known`, from the name of a shipped scene, a file that ends in .json, or the content of such a
+    file, possibly without description. A `Scene` is returned as it is.
     """
     if isinstance(given, Scene):
         return given
@@ -331,7 +331,7 @@ def read(given: "str | Path | Mapping[str, Any] | Scene", variables: Variables |
 
 
 def _plain(given: Any) -> Any:
-    """Numbers of NumPy as JSON has them."""
+    """Converts numbers of NumPy for JSON."""
     if not isinstance(given, (np.generic, np.ndarray)):
         raise FiveBarError(f"a scene has numbers, texts, lists and dicts, not {shown(given)}")
     return given.tolist()
@@ -354,13 +354,13 @@ def found(name: str | Path) -> Path:
 
 
 def _meant(path: Path) -> str:
-    """The end of a sentence about an unknown scene: shipped ones and files in its folder that it may have been meant to be."""
+    """The end of a sentence about an unknown scene: similar names of shipped scenes and of files in its folder."""
     beside = {file.stem: str(file) for file in sorted(path.parent.glob("*.json"))}
     return meant(path.stem, beside | {name: name for name in shipped.scene_files()})
 
 
 def of_file(file: Path, variables: Variables | None = None) -> Scene:
-    """The scene in a file, named after it."""
+    """The scene in a file; the file's name is the scene's name."""
     try:
         if not file.stem.strip(". "):
             raise FiveBarError("a scene is called as its file, whose name has dots only")
@@ -370,7 +370,7 @@ def of_file(file: Path, variables: Variables | None = None) -> Scene:
 
 
 def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
-    """A scene from the text of its file; a MachineWarning says if no machine has its links."""
+    """A scene from the text of its file; warns with MachineWarning if its links are impossible."""
     variables = variables or of_unit()
     content = scene_file.Content(scene_file.parse(text), variables)
     courses, points = {}, np.zeros(0)
@@ -400,7 +400,7 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
 def _resolved(
     runs: list[tuple[str, Values]], tip: tip_scenes.Tip | None, unit: Mapping[str, Value], points: NDArray[np.float64]
 ) -> tuple[list[Variant], dict[str, NDArray[np.float64]]]:
-    """Runs with their starts, and references of the servos at communication points, where a scene is in the tip's coordinates."""
+    """For a scene in the tip's coordinates: runs with their starts, and references of the servos at communication points."""
     if tip is None:
         return [Variant(label, values) for label, values in runs], {}
     variants = [Variant(label, tip.placed(values, unit)) for label, values in runs]
@@ -416,9 +416,9 @@ def content(
     signals: Mapping[str, Any] | None = None,
     working: Working | None = None,
 ) -> dict[str, Any]:
-    """Content of a scene's file, with every value that differs from the unit's own.
+    """Content of a scene's file, with every value that differs from the unit's start value.
 
-    `text` is its description, mounting angles of encoders are among the values, `signals` are as files have them, `working` is the working mode of signals of the tip.
+    `text` is the description; the values include encoder offsets; `signals` are as in files; `working` is the working mode for signals of the tip.
     """
     found: dict[str, Any] = {"description": text, "experiment": {"stopTime": stop_time, "stepSize": step_size}}
     for name, value in values.items():
@@ -437,7 +437,7 @@ def content(
 
 
 def write_content(file: Path, content: Mapping[str, Any]) -> None:
-    """Writes a scene that is given as the content of its file."""
+    """Writes a scene, given as the content of its file."""
     written = _lines(content)
     if len(written) > scene_file.LARGEST:
         raise FiveBarError(f"{file}: the scene would have {len(written)} bytes: up to {scene_file.LARGEST} are allowed")
@@ -445,7 +445,7 @@ def write_content(file: Path, content: Mapping[str, Any]) -> None:
 
 
 def _lines(content: Mapping[str, Any]) -> str:
-    """JSON with a line for each key, and one for each signal."""
+    """JSON with a line for each key and each signal."""
     entries = []
     for key, value in content.items():
         text = json.dumps(value, ensure_ascii=False)

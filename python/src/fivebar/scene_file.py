@@ -1,4 +1,4 @@
-"""A scene's file: JSON in which no key stands twice, its keys, runs and experiment, checked against the unit's variables."""
+"""A scene's file: JSON without repeated keys; its keys, runs and experiment are checked against the unit's variables."""
 
 import json
 import math
@@ -15,30 +15,30 @@ from fivebar.signals import Signal
 from fivebar.variables import Value, Values, Variables, shown, similar
 
 LARGEST = 4_000_000
-"""Bytes of a file, at most."""
+"""Largest size of a file, bytes."""
 
 MOST_BRACKETS = 8
-"""Brackets that stand in each other, at most: what a scene holds takes five."""
+"""Deepest nesting of brackets; a scene needs five."""
 
 DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY = ("description", "experiment", "signals", "overlay")
 
 SCHEMA = "$schema"
-"""The key by which editors find the schema of scenes."""
+"""Key with which editors find the schema of scenes."""
 
 OFFSETS = ("encoder.offset[1]", "encoder.offset[2]")
-"""Keys of the mounting angles of a machine's encoders, rad: angles that they show beyond the true ones, which are all other angles of a scene."""
+"""Keys of the encoder offsets, rad: encoder reading minus true angle. All other angles of a scene are true angles."""
 
 RESERVED = (SCHEMA, DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY, *OFFSETS, *tip_scenes.KEYS)
-"""Keys of a scene that are no variables to be set."""
+"""Keys of a scene that are not settable variables."""
 
 LABEL = "label"
-"""The key of an overlay that is no variable."""
+"""Key of an overlay that is not a variable."""
 
 SECONDS = ("stopTime", "stepSize")
 
 
 class Content:
-    """Content of a scene's file in the terms of the unit."""
+    """Checked content of a scene's file."""
 
     def __init__(self, content: Any, variables: Variables):
         if not isinstance(content, dict):
@@ -49,14 +49,14 @@ class Content:
         if SCHEMA in content:
             _text(SCHEMA, content)
         self.offsets = {name: _angle(name, content[name]) for name in OFFSETS if name in content}
-        """Mounting angles of encoders, rad, by key."""
+        """Encoder offsets, rad, by key."""
         stop_time, self.step_size = _experiment(content, variables)
         self.description = _text(DESCRIPTION, content)
         self.overlays = list(_overlays(content, self.values, variables))
         """Labels and values of further runs."""
         self.signals: list[Signal] = signals.read(content.get(SIGNALS), variables)
         self.assumed: dict[str, str] = {}
-        """A note on the stop time, where the file has none."""
+        """Note on the stop time if the file has none."""
         if stop_time is None:
             stop_time, self.assumed["stop time"] = _end(self.signals, variables)
         self.stop_time = stop_time
@@ -74,7 +74,7 @@ def text(file: Path) -> str:
 
 
 def parse(text: str) -> Any:
-    """The JSON of a text; numbers are finite, and no key stands twice in an object."""
+    """Parses JSON; refuses numbers that are not finite, and repeated keys."""
     try:
         content = json.loads(
             text, object_pairs_hook=_unique, parse_int=_integer, parse_float=_finite, parse_constant=_none
@@ -93,7 +93,7 @@ def parse(text: str) -> Any:
 
 
 def method(values: Mapping[str, Value], variables: Variables) -> str:
-    """The name of the method that a run has."""
+    """Name of the method of a run."""
     variable = variables["solver.method"]
     number = values.get(variable.name, variable.start)
     assert isinstance(number, int)
@@ -101,7 +101,7 @@ def method(values: Mapping[str, Value], variables: Variables) -> str:
 
 
 def check_labels(labels: list[str]) -> None:
-    """Refuses two runs of the same label."""
+    """Refuses equal labels."""
     for i, label in enumerate(labels):
         if label in labels[:i]:
             raise FiveBarError(f"two runs have the label '{label}', but labels must differ")
@@ -124,7 +124,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _integer(text: str) -> int | float:
-    # -0 is a Real; whole numbers of more than 64 bits are no Integers, and Python reads no endless ones.
+    # -0 is a Real; whole numbers with more than 64 bits are not Integers, and Python limits their digits.
     if text == "-0" or len(text) > 19:
         return _finite(text)
     return int(text)
@@ -170,12 +170,12 @@ def _text(key: str, content: Mapping[str, Any]) -> str:
 
 
 def _is_no_text(c: str) -> bool:
-    """Whether XML, tables or pages cannot have it in a line (XML 1.0, section 2.2)."""
+    """Whether the character cannot be in a line of XML, a table or a page (XML 1.0, section 2.2)."""
     return unicodedata.category(c) == "Cc" or c in "\u2028\u2029\ufffe\uffff"
 
 
 def _experiment(content: Mapping[str, Any], variables: Variables) -> tuple[float | None, float]:
-    """Stop time, None where it is not given, and communication step, s, where it is not given that of the unit."""
+    """Stop time, s, None if not given; and communication step, s, the unit's if not given."""
     given = content.get(EXPERIMENT, {})
     if not isinstance(given, dict):
         raise FiveBarError(
@@ -200,7 +200,7 @@ def seconds(key: str, given: Any) -> float:
 
 
 def _end(own: list[Signal], variables: Variables) -> tuple[float, str]:
-    """Stop time of a scene that has none, s: where its signals end, or else that of the unit; and a note that says so."""
+    """Stop time, s, of a scene without one: the end of its signals, or else the unit's stop time; and a note."""
     last = max((signal.end for signal in own), default=0.0)
     if last > 0:
         return last, f"{last:g} s, the last knot of its signals: it has no 'experiment.stopTime'"

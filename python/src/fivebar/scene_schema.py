@@ -1,6 +1,6 @@
-"""The JSON Schema of scene files, made from the unit's variables: editors complete names by it, show units, and mark what is refused.
+"""The JSON Schema of scene files, made from the unit's variables. Editors use it to complete names, show units and mark errors.
 
-It says what each key may be. What several keys say together, such as a signal and a value of one variable, is for `fivebar.scene_file`.
+It checks each key alone. `fivebar.scene_file` checks combinations of keys, such as a signal and a value of one variable.
 """
 
 import math
@@ -16,7 +16,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _LETTERS = r"[^\u0000-\u001f\u007f-\u009f\u2028\u2029\ufffe\uffff]*"
 
 TEXT = {"type": "string", "pattern": rf"^{_LETTERS}\S{_LETTERS}$"}
-"""A text in one line that is not blank."""
+"""A line of text that is not blank."""
 
 KNOTS = {
     "type": "array",
@@ -27,7 +27,7 @@ KNOTS = {
 
 
 def schema(variables: Variables) -> dict[str, Any]:
-    """The schema of scenes for the unit with these variables."""
+    """Schema of scenes for a unit with these variables."""
     values = {v.name: _value(v) for v in variables.values() if v.can_be_set}
     seconds = {"type": "number", "exclusiveMinimum": 0}
     label = TEXT | {"description": "Name of the run in summary and pictures"}
@@ -69,7 +69,7 @@ def schema(variables: Variables) -> dict[str, Any]:
 
 
 def _value(variable: Variable) -> dict[str, Any]:
-    """What the value of a variable may be."""
+    """Schema of a variable's value."""
     unit = "" if variable.unit == "1" else f" ({variable.unit})"
     found: dict[str, Any] = {"description": variable.description + unit}
     if variable.items:
@@ -81,7 +81,7 @@ def _value(variable: Variable) -> dict[str, Any]:
 
 
 def _signal(variable: Variable, variables: Variables) -> dict[str, Any]:
-    """What the signal of a variable may be."""
+    """Schema of a variable's signal."""
     knots = {"$ref": "#/$defs/knots"}
     if variable.causality == "parameter":
         kinds: dict[str, Any] = {signals.STEPS: knots}
@@ -95,6 +95,6 @@ def _signal(variable: Variable, variables: Variables) -> dict[str, Any]:
 
 
 def _object(properties: dict[str, Any], required: Iterable[str] = ()) -> dict[str, Any]:
-    """An object with these keys and no others."""
+    """Schema of an object with exactly these keys."""
     need = {"required": list(required)} if required else {}
     return {"type": "object", "properties": properties, **need, "additionalProperties": False}

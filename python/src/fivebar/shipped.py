@@ -1,6 +1,4 @@
-"""The unit, the scenes, the live page and the site that come with the package: in its folder `shipped/`, as the wheel has them, or where the
-checkout that the package lies in has them.
-"""
+"""The unit, the scenes, the live page and the site of the package: from its folder `shipped/` in a wheel, or from the places in a checkout."""
 
 import json
 import os
@@ -12,7 +10,7 @@ from fivebar.errors import FiveBarError
 
 FOLDER = Path(__file__).with_name("shipped")
 CHECKOUT = Path(__file__).resolve().parents[3]
-"""The root of the checkout, if the package lies in one."""
+"""The root of the checkout, if the package is in one."""
 
 
 MACHINES = {
@@ -22,11 +20,11 @@ MACHINES = {
     "darwin x86_64": ("darwin64", ".dylib"),
     "darwin arm64": ("darwin64", ".dylib"),
 }
-"""Folders of libraries in an .fmu, and endings, by kind of machine."""
+"""Folders of libraries in an .fmu, and file endings, by kind of machine."""
 
 
 def unit() -> Path:
-    """The .fmu: that of the environment's `FIVEBAR_FMU`, the shipped one, or the one that the checkout has packed.
+    """The .fmu: from the environment variable `FIVEBAR_FMU`, or the shipped one, or the one packed in the checkout.
 
     Raises FiveBarError if there is none.
     """
@@ -52,18 +50,18 @@ def descriptions() -> dict[str, str]:
 
 
 def page() -> Path | None:
-    """The live page, or None where the package comes without."""
+    """The live page, or None if the package has none."""
     return _found("fivebar.html", "target/page/fivebar.html")
 
 
 def site() -> Path | None:
-    """The first page of the documentation, or None where the package comes without."""
+    """The first page of the documentation, or None if the package has none."""
     return _found("site/index.html", "target/site/index.html")
 
 
 def _found(name: str, in_checkout: str) -> Path | None:
     places = [FOLDER / name]
-    # Any other folder that a package lies in is none of its own.
+    # Any other folder is not a checkout of this package.
     if (CHECKOUT / "modelDescription" / "modelDescription.xml").is_file():
         places.append(CHECKOUT / in_checkout)
     return next((place for place in places if place.exists()), None)

@@ -12,7 +12,7 @@ from fivebar.tip_scenes import Tip
 from fivebar.variables import Value
 
 STANDARD_GRAVITY = 9.81
-"""Scale of energy where the scene has no gravity, m/s2."""
+"""Gravity for the scale of energy if the scene has none, m/s2."""
 
 CLOSE = 1e-3
 """Distance between two tips below which two runs agree, m."""
@@ -28,12 +28,12 @@ def energy_scale(run: Run) -> float:
 
 
 def energy_note(run: Run) -> str:
-    """Note on a value in mgL: the g it takes where there is no gravity, "" elsewhere."""
+    """Note on a value in mgL: the assumed g if there is no gravity, otherwise ""."""
     return "" if _has_gravity(run) else f"g = {STANDARD_GRAVITY:g} m/s2"
 
 
 def sampling(run: Run) -> str:
-    """Sampling on which counts and extreme values of a run rest."""
+    """Note on the sampling behind counts and extreme values of a run."""
     return f"seen at communication points, every {1e3 * run.step_size:g} ms"
 
 
@@ -64,45 +64,47 @@ def lines(run: Run, events: list[Event]) -> list[str]:
 
 
 def motor_lines(run: Run, values: Mapping[str, Value], tip: Tip | None) -> list[str]:
-    """Lines on the motors, none if there is nothing to say; arguments as of `motors.facts`."""
+    """Lines on the motors, possibly none; arguments as for `motors.facts`."""
     found = [_line(4, *fact) for fact in motors.facts(run, values, tip)]
     return [f"  motors, {sampling(run)}:", *found] if found else []
 
 
 def assumed(scene: Scene) -> list[str]:
-    """Lines on what the scene does not say."""
+    """Lines on assumed settings."""
     return [_line(2, what, note) for what, note in scene.assumed.items()]
 
 
 def servo_note(run: Run, values: Mapping[str, Value]) -> list[str]:
-    """A line on the first references of the servos with which the loop cannot be closed, or none; `values` are the scene's start values."""
+    """A line on the first servo references that cannot close the loop, or none; `values` are the scene's start values."""
     given = run.parameters
     if not given["servo.enabled"] or not all(given[f"servo.kp[{i}]"] for i in (1, 2)):
         return []
-    told = [
+    references = [
         np.broadcast_to(run.columns.get(name, values.get(name, 0.0)), run.time.shape)
         for name in ("servo.theta[1]", "servo.theta[2]")
     ]
     _, near, far, _ = (lengths := [float(given[f"link[{i}].length"]) for i in (1, 2, 3, 4)])
     apart = np.abs(
-        float(given["base.distance"]) + lengths[3] * np.exp(1j * told[1]) - lengths[0] * np.exp(1j * told[0])
+        float(given["base.distance"])
+        + lengths[3] * np.exp(1j * references[1])
+        - lengths[0] * np.exp(1j * references[0])
     )
     open_ = np.flatnonzero((apart > (near + far) * (1 + 1e-9)) | (apart < abs(near - far) * (1 - 1e-9)))
     if not len(open_):
         return []
     row = int(open_[0])
     text = (
-        f"servo.theta = ({told[0][row]:.4g}, {told[1][row]:.4g}) rad at t = {run.time[row]:g} s cannot be reached: the elbows would be {apart[row]:.4g} m "
+        f"servo.theta = ({references[0][row]:.4g}, {references[1][row]:.4g}) rad at t = {run.time[row]:g} s cannot be reached: the elbows would be {apart[row]:.4g} m "
         f"apart, link[2].length and link[3].length allow {abs(near - far):.4g} to {near + far:.4g} m"
     )
     return [_line(2, "note", text)]
 
 
 def difference(run: Run, other: Run) -> str:
-    """How long the tip of an overlay stays with that of the scene's own run, and how far it gets."""
+    """How long the tip of an overlay agrees with the tip of the scene's own run, and the largest distance."""
     distance = tip_distance(run, other)
     apart = np.flatnonzero(distance >= CLOSE)
-    # The last communication point of those before the tips part for the first time.
+    # The last communication point before the tips diverge for the first time.
     together = int(apart[0]) - 1 if len(apart) else len(distance) - 1
     limit = f"{1e3 * CLOSE:g} mm"
     close = f"below {limit} up to t = {run.time[together]:g} s" if together >= 0 else f"{limit} or more from the start"
@@ -112,7 +114,7 @@ def difference(run: Run, other: Run) -> str:
 
 
 def tip_distance(run: Run, other: Run) -> np.ndarray:
-    """|dQ| in m at the communication points that both runs reached."""
+    """Distance of the tips, m, at the communication points that both runs reached."""
     n = min(len(run.time), len(other.time))
     distance: np.ndarray = np.hypot(run["tip.x"][:n] - other["tip.x"][:n], run["tip.y"][:n] - other["tip.y"][:n])
     return distance
@@ -136,7 +138,7 @@ def _seen(run: Run, events: list[Event]) -> list[tuple[str, str]]:
 
 
 def _line(indent: int, name: str, text: str) -> str:
-    """`text` begins in the same column for every indent."""
+    """A line with `text` in a fixed column, whatever the indent."""
     return f"{'':<{indent}}{name:<{WIDTH + 2 - indent}}{text}"
 
 

@@ -335,8 +335,8 @@ class _Document:
         If one of the two is missing, it follows from the aspect ratio of the viewBox (CSS 2.1, section 10.4).
         """
         # A style such as width:100% only fits the page into a window; the attribute has the size.
-        told = {name: (style.get(name, ""), root.get(name, "")) for name in ("width", "height")}
-        sizes = {name: [text.strip() for text in both if not FLEXIBLE.fullmatch(text)] for name, both in told.items()}
+        given = {name: (style.get(name, ""), root.get(name, "")) for name in ("width", "height")}
+        sizes = {name: [text.strip() for text in both if not FLEXIBLE.fullmatch(text)] for name, both in given.items()}
         texts = {name: found[0] for name, found in sizes.items() if found}
         if any(re.search(r"[a-zA-Z]\s*$", text) for text in texts.values()):
             self.unit = PX
@@ -365,10 +365,10 @@ class _Document:
         size = self._size(element, style, frame)
         if _name(outer) == "use":
             size = [
-                own if told is None else told
-                for told, own in zip(self._size(outer, self.css.style(outer), frame), size)
+                own if computed is None else computed
+                for computed, own in zip(self._size(outer, self.css.style(outer), frame), size)
             ]
-        width, height = (known if told is None else told for told, known in zip(size, frame.viewport))
+        width, height = (known if computed is None else computed for computed, known in zip(size, frame.viewport))
         frame = frame._replace(matrix=frame.matrix @ _moved(x, y), viewport=(width, height))
         if 0.0 in frame.viewport:
             return frame

@@ -99,7 +99,7 @@ def _commands() -> str:
 
 
 def _help(text: str) -> Iterable[str]:
-    """Paragraphs of a help text; those that click is told to leave as they are become blocks of code."""
+    """Paragraphs of a help text; paragraphs that click must not wrap become blocks of code."""
     for paragraph in inspect.cleandoc(text).split("\n\n"):
         as_it_stands = paragraph.removeprefix("\b\n")
         yield from [paragraph, ""] if as_it_stands is paragraph else ["```text", as_it_stands, "```", ""]

@@ -1,8 +1,8 @@
 """The command `fivebar`: one module of this folder per subcommand.
 
-The modules import nothing at their top but click and what is beside them: packages that compute, draw or are missing are loaded by the
-function of the command that is asked for. Exit codes: 0 done; 1 done, and the outcome is bad (a step failed, a record differs, an error of
-this program); 2 what was asked for is refused. Errors are one sentence on standard error.
+At their top the modules import only click and modules of this folder. Packages that compute or draw, or that may be missing, are imported by
+the function of the called command. Exit codes: 0: done; 1: done with a bad outcome (a step failed, a record differs), or an error of this
+program; 2: the request is refused. Errors are one sentence on standard error.
 """
 
 import os
@@ -56,11 +56,11 @@ COMMANDS = (
     soak.soak,
     load.load,
 )
-"""In the order in which they are listed."""
+"""Subcommands in the order of the help."""
 
 
 class InOrder(click.Group):
-    """Lists subcommands as they were added: first what one needs first."""
+    """Lists subcommands in the order of `COMMANDS`, which begins with those for newcomers."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -73,7 +73,7 @@ def fivebar() -> None:
 
     \b
     fivebar run fall_90_120 --open     run a scene and watch it in the browser
-    fivebar scenes                     what else there is to run
+    fivebar scenes                     list the scenes
     fivebar unit                       FiveBar.fmu for your own master
     """
 
@@ -83,7 +83,7 @@ for command in COMMANDS:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a subcommand and gives its exit code back."""
+    """Runs a subcommand and returns its exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     name = " ".join(["fivebar", *(part for part in given[:1] if part in fivebar.commands)])
     _keep_to_the_cache()
@@ -96,29 +96,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except click.ClickException as error:
         sentence = " ".join(error.format_message().split()).rstrip(".")
-        return _refused(name, f"{sentence}; `{name} --help` says how it is called")
+        return _refused(name, f"{sentence}; `{name} --help` shows the usage")
     except FiveBarError as error:
         return _refused(name, str(error))
     except (click.Abort, KeyboardInterrupt):
         return 130
     except BrokenPipeError:
-        # Who read the output has had enough; what is still in the buffer goes nowhere.
+        # The reader of the output has closed the pipe; the rest of the buffer is dropped.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        # The system refuses: a folder is a file, a disk is full, a port is taken.
+        # Refused by the system: a folder is a file, a disk is full, a port is taken.
         where = " ".join(str(part) for part in (error.filename, error.filename2) if part is not None)
         return _refused(name, f"{where or 'the system'}: {error.strerror or error}")
     except Exception as error:
         if os.environ.get("FIVEBAR_TRACEBACK"):
             raise
         sentence = " ".join(f"{type(error).__name__}: {error}".split())
-        print(f"{name}: an error of this program, {sentence}; with FIVEBAR_TRACEBACK=1 it says where", file=sys.stderr)
+        print(f"{name}: an error of this program, {sentence}; FIVEBAR_TRACEBACK=1 shows the traceback", file=sys.stderr)
         return 1
 
 
 def _keep_to_the_cache() -> None:
-    """Keeps packages from opening windows and from writing settings to the user's home, where there are none."""
+    """Makes matplotlib draw to files, and lets packages without settings of the user write to the cache instead of the home folder."""
     # Pictures go to files.
     os.environ.setdefault("MPLBACKEND", "Agg")
     settings = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
@@ -131,7 +131,7 @@ def _keep_to_the_cache() -> None:
 
 
 def _cache() -> Path:
-    """The user's cache."""
+    """The cache folder of the user."""
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "fivebar"
     if sys.platform == "darwin":
@@ -140,7 +140,7 @@ def _cache() -> Path:
 
 
 def _warning(name: str) -> Callable[..., None]:
-    """Shows warnings about machines as sentences, all others as Python does."""
+    """Prints warnings about machines as one sentence, all others as Python does."""
     usual = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:

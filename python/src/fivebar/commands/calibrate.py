@@ -1,4 +1,4 @@
-"""`fivebar calibrate`: what a machine is, from a record."""
+"""`fivebar calibrate`: parameters of a machine from a record."""
 
 from pathlib import Path
 from typing import Any
@@ -14,29 +14,33 @@ from fivebar.commands import options
     "--parameters",
     multiple=True,
     metavar="NAME",
-    help="What is sought, once or more, groups as link[1,4].mass; else what is usual.",
+    help="An unknown, or a group such as link[1,4].mass; may be repeated; default: the usual unknowns.",
 )
 @click.option(
     "--scene",
     type=options.SCENE,
     metavar="SCENE|FILE",
-    help="What the machine is taken for before; without it the scene of the record.",
+    help="The assumed machine; default: the scene of the record.",
 )
 @click.option(
-    "--from", "begin", type=float, default=0.0, show_default=True, metavar="S", help="s after the first sample."
+    "--from",
+    "begin",
+    type=float,
+    default=0.0,
+    show_default=True,
+    metavar="S",
+    help="Begin of the used part, s after the first sample.",
 )
+@click.option("--seconds", type=float, default=10.0, show_default=True, metavar="S", help="Length of the used part, s.")
 @click.option(
-    "--seconds", type=float, default=10.0, show_default=True, metavar="S", help="How much of the record is used."
-)
-@click.option(
-    "--longest", type=float, default=10.0, show_default=True, metavar="S", help="Series longer than this are cut."
+    "--longest", type=float, default=10.0, show_default=True, metavar="S", help="Series longer than this, s, are cut."
 )
 @click.option(
     "--commands",
     type=click.Choice(["rate", "linear", "hold"]),
     default="rate",
     show_default=True,
-    help="What drives do between samples.",
+    help="Commands of the drives between samples.",
 )
 @click.option(
     "--patience",
@@ -44,32 +48,36 @@ from fivebar.commands import options
     default=120.0,
     show_default=True,
     metavar="S",
-    help="s of CPU after which a fit is given up.",
+    help="CPU time, s, after which a fit is abandoned.",
 )
-@click.option("--unit", default="", help="Which machine, if the record has several.")
+@click.option("--unit", default="", help="Name of the machine, if the record has several.")
 @click.option(
-    "--proposal/--no-proposal", default=True, help="Look for a motion that would tell what is not identified."
+    "--proposal/--no-proposal", default=True, help="Search for a motion that identifies the remaining unknowns."
 )
 @options.fmu()
 @options.out("./calibrate/")
-@click.option("--trials", type=int, metavar="N", help="No FILE: calibrate N made records, count what error bars cover.")
+@click.option(
+    "--trials",
+    type=int,
+    metavar="N",
+    help="Without FILE: calibrate N made records and count how often error bars hold the truth.",
+)
 @click.option(
     "--machines",
     type=click.Choice(["one", "any"]),
     default="one",
     show_default=True,
-    help="Of trials: one machine with six unknowns off, or each another.",
+    help="For trials: one machine with six wrong parameters, or random machines.",
 )
-@click.option(
-    "--first", type=int, default=100, show_default=True, metavar="K", help="Number of the first of these trials."
-)
+@click.option("--first", type=int, default=100, show_default=True, metavar="K", help="Number of the first trial.")
 def calibrate(
     file: Path | None, fmu: Path | None, out: Path | None, trials: int | None, machines: str, first: int, **given: Any
 ) -> int:
     """Find masses, friction and lengths from a record.
 
-    FILE is a record of `fivebar twin` (Parquet, or a folder of parts) or CSV with time, measured.theta[1..2] (or theta[1..2]) and what drives were told.
-    Also payload, gravity, offsets and delay of the encoders. Every value comes with its error bar; what the record does not tell is said, with a motion that would tell it.
+    FILE is a record of `fivebar twin` (Parquet, or a folder of parts) or CSV with time, measured.theta[1..2] (or theta[1..2]) and the commands of the drives.
+    Payload, gravity, offsets and delay of the encoders can be unknowns, too. Every value has an error bar. Unknowns that the record cannot
+    identify are named, with a motion that would identify them.
 
     \b
     fivebar calibrate twin/runs/20261124-060000-1234/record

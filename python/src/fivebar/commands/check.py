@@ -1,4 +1,4 @@
-"""`fivebar check`: the first questions about a record of a machine."""
+"""`fivebar check`: checks of a record of a machine."""
 
 from pathlib import Path
 
@@ -11,13 +11,20 @@ from fivebar.commands import options
 @click.argument("scene", type=options.SCENE, metavar="SCENE|FILE")
 @click.argument("file", type=options.FILE, required=False)
 @click.option(
-    "--map", "map_file", type=options.FILE, metavar="MAP", help="Which column is which: JSON (docs/recordings.md)."
+    "--map", "map_file", type=options.FILE, metavar="MAP", help="Meaning of the columns: JSON (docs/recordings.md)."
 )
-@click.option("--broker", metavar="HOST:PORT", help="Listen to a machine that publishes meas, in the place of a file.")
 @click.option(
-    "--seconds", type=float, default=10.0, show_default=True, metavar="S", help="How long it listens to the broker."
+    "--broker", metavar="HOST:PORT", help="Listen to a machine that publishes meas, instead of reading a file."
 )
-@click.option("--unit", default="", help="What the machine is called in topics, if there are several.")
+@click.option(
+    "--seconds",
+    type=float,
+    default=10.0,
+    show_default=True,
+    metavar="S",
+    help="Duration of listening to the broker, s.",
+)
+@click.option("--unit", default="", help="Name of the machine in topics, if there are several.")
 @options.remote()
 def check(
     scene: str,
@@ -31,15 +38,15 @@ def check(
 ) -> int:
     """Check a record of a machine against its scene.
 
-    Units, clock, rate, jitter, dead encoders, turns and reach; and, if the record has the angles of distal links, the tip, commands or torques, signs, exchanges and zeros. A
-    line with `fix` needs a change, printed to be copied into the map or the scene; a line with `?` is a choice that the record cannot decide.
-    FILE is what `import` takes, or a record of `fivebar twin`.
+    Checks units, clock, rate, jitter, dead encoders, turns and reach. If the record has angles of distal links, the tip, commands or torques, it
+    also checks signs, exchanges and zeros. A line with `fix` needs a change, which is printed for copying into the map or the scene; a line with
+    `?` is a choice that the record cannot decide. FILE is a file that `import` takes, or a record of `fivebar twin`.
 
     \b
     fivebar check my_machine.json bench.csv --map map.json
     fivebar check my_machine.json --broker 127.0.0.1:1883
 
-    Exit code 1 if something is to be fixed.
+    Exit code 1 if something needs a fix.
     """
     if (file is None) == (broker is None):
         raise click.UsageError("one is needed: a FILE, or --broker")

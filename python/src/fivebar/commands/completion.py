@@ -1,4 +1,4 @@
-"""Words that shells complete: scenes, variables, columns, methods. They are types of parameters, which take any text.
+"""Shell completion of scenes, variables, columns and methods: types of parameters that accept any text.
 
 Names come from the XML inside the unit, read by the standard library, for a key press waits for the answer.
 """
@@ -28,7 +28,7 @@ class Scene(StringParamType):
 
 
 class Assignment(StringParamType):
-    """`NAME=VALUE`: the name of what can be set, and its values if they have names."""
+    """`NAME=VALUE`: names of parameters and inputs, and values that have names."""
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> "list[CompletionItem]":
         known = {v.get("name", ""): v for v in _variables(ctx) if v.get("causality") in ("parameter", "input")}
@@ -47,7 +47,7 @@ class Method(StringParamType):
 
 
 class Columns(StringParamType):
-    """Names of columns with commas between them, or how they begin."""
+    """Names or prefixes of columns, separated by commas."""
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> "list[CompletionItem]":
         given, comma, _ = incomplete.rpartition(",")
@@ -69,7 +69,7 @@ def _items(words: "dict[str, str]", incomplete: str) -> "list[CompletionItem]":
 
 
 def _words(ctx: click.Context, variable: "Element | None") -> dict[str, str]:
-    """Values of a variable that have names, each with a sentence."""
+    """Named values of a variable with their descriptions."""
     if variable is None:
         return {}
     if variable[0].tag == "Boolean":
@@ -84,7 +84,7 @@ def _variables(ctx: click.Context) -> "Iterable[Element]":
 
 
 def _model(ctx: click.Context, part: str) -> "Iterable[Element]":
-    """A part of the model description of the unit that is asked for, empty if there is no such unit."""
+    """A part of the model description of the chosen unit; empty if the unit does not exist."""
     import zipfile
     from xml.etree import ElementTree
 

@@ -1,4 +1,4 @@
-"""`fivebar export`: a record for the programs that people look at."""
+"""`fivebar export`: a record as a file for viewers."""
 
 from pathlib import Path
 
@@ -42,7 +42,7 @@ def export(record: Path, mcap: bool, rerun: bool, out: Path | None) -> int:
 
         files.append(folder / f"{record.stem}.rrd")
         written = work.write(record, machine, Rerun(files[-1]))
-    refused = f"; {written.refused} rows are no valid messages and left out" if written.refused else ""
+    refused = f"; {written.refused} rows are not valid messages and are left out" if written.refused else ""
     click.echo(f"{written.messages} messages{refused}")
     options.written(files)
     return 0

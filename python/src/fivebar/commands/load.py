@@ -1,4 +1,4 @@
-"""`fivebar load`: what a broker carries."""
+"""`fivebar load`: how many machines a broker carries."""
 
 import click
 
@@ -6,9 +6,16 @@ from fivebar.commands import options
 
 
 @click.command()
-@click.option("--broker", metavar="HOST:PORT", help="Any MQTT broker of this machine; else the one that comes along.")
-@click.option("--seconds", type=float, default=4.0, show_default=True, metavar="S", help="For each number of machines.")
-@click.option("--most", type=int, default=64, show_default=True, metavar="N", help="Machines at most.")
+@click.option("--broker", metavar="HOST:PORT", help="An MQTT broker on this machine; default: the included one.")
+@click.option(
+    "--seconds",
+    type=float,
+    default=4.0,
+    show_default=True,
+    metavar="S",
+    help="Duration for each number of machines, s.",
+)
+@click.option("--most", type=int, default=64, show_default=True, metavar="N", help="Maximum number of machines.")
 def load(broker: str | None, seconds: float, most: int) -> int:
     """Measure how many machines a broker carries.
 

@@ -1,4 +1,4 @@
-"""`fivebar map`: where a machine can go."""
+"""`fivebar map`: the workspace of a machine."""
 
 import webbrowser
 from pathlib import Path
@@ -23,11 +23,11 @@ def map_(
     out: Path | None,
     open_page: bool,
 ) -> None:
-    """Map where a machine can go.
+    """Map the workspace of a machine.
 
-    For each working mode: reach, singular loci, condition number, stops, the largest discs without singularity, the scene's motion; with
-    limits of torque, which are those of the scene's servos unless told, the force that the tip holds at rest. Pictures, tables, and a page on
-    which the machine follows the pointer.
+    For each working mode: reach, singular loci, condition number, stops, the largest discs without singularity, the scene's motion.
+    With torque limits (default: the limits of the scene's servos) also the force that the tip can hold at rest. Writes pictures, tables, and a
+    page on which the machine follows the pointer.
 
     \b
     fivebar map pick_and_place --open

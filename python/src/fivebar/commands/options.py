@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fivebar.kinematics import Working
 
 FILE = click.Path(path_type=Path)
-"""A file or folder; who reads or makes it says what is wrong with it."""
+"""A file or folder; the function that reads or writes it reports errors."""
 
 SCENE = completion.Scene()
 
@@ -25,67 +25,69 @@ WORKING_MODES: "dict[str, Working]" = {
     "plusPlus": ("plus", "plus"),
     "plusMinus": ("plus", "minus"),
 }
-"""Working modes by the names that the unit has for them."""
+"""Working modes by the unit's names."""
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 def fmu() -> Decorator:
-    """The unit that is run."""
+    """Option for another unit."""
     return click.option("--fmu", type=FILE, metavar="FILE", help="Another unit than the shipped one.")
 
 
 def learn() -> Decorator:
-    """Whether a twin learns."""
+    """Option to let a twin learn."""
     return click.option(
         "--learn", is_flag=True, help="Learn masses, payload, friction, lengths and mounting angles while following."
     )
 
 
 def remote() -> Decorator:
-    """How a process identifies itself to a broker, and the broker to it."""
-    user = click.option("--user", default="", help="At that broker; its password is read from FIVEBAR_PASSWORD.")
+    """Options for user, password and certificates of a remote broker."""
+    user = click.option(
+        "--user", default="", help="User name at the broker; the password is read from FIVEBAR_PASSWORD."
+    )
     ca_file = click.option(
         "--ca-file",
         default="",
         metavar="FILE",
-        help="Certificates for TLS with that broker; `system` for those of the system.",
+        help="Certificates for TLS with the broker; `system` uses the system's certificates.",
     )
     return lambda command: user(ca_file(command))
 
 
 def exact() -> Decorator:
-    """Whether a machine is as long as its twin believes."""
+    """Option for exact lengths and encoders."""
     return click.option(
-        "--exact", is_flag=True, help="Lengths and encoders are as the scene says, and the twin takes them so."
+        "--exact", is_flag=True, help="Lengths and encoders are exactly as in the scene, and the twin assumes so."
     )
 
 
 def out(default: str) -> Decorator:
     """Option for the folder of the results."""
     return click.option(
-        "--out", "-o", type=FILE, metavar="DIR", help=f"Folder for everything that is written; {default} unless told."
+        "--out", "-o", type=FILE, metavar="DIR", help=f"Folder for all written files; default: {default}."
     )
 
 
 def mode(multiple: bool) -> Decorator:
-    """Working modes, or one of them."""
+    """Option for one working mode or several."""
     words = (
-        "A working mode, once or more; all four unless told."
+        "A working mode; may be repeated; default: all four."
         if multiple
-        else "Working mode; that of the scene's start unless told."
+        else "Working mode; default: the mode at the scene's start."
     )
     return click.option("--mode", type=click.Choice(list(WORKING_MODES)), multiple=multiple, help=words)
 
 
 def torque() -> Decorator:
-    """Limits of the motors' torques."""
-    words = "Limits of the motors' torques, N·m; those of the scene's servos unless told."
+    """Option for torque limits of the motors."""
+    words = "Torque limits of the motors, N·m; default: the limits of the scene's servos."
     return click.option("--torque", type=(POSITIVE, POSITIVE), metavar="LEFT RIGHT", help=words)
 
 
 def check_folder(out: Path) -> None:
-    """Refuses a folder for results that cannot be made, by making it and, where it was missing, taking it away again."""
+    """Checks that a folder for results can be made: makes it and, if it was missing, removes it again."""
     from fivebar.errors import FiveBarError
 
     missing = [folder for folder in (out, *out.parents) if not folder.exists()]
@@ -94,18 +96,18 @@ def check_folder(out: Path) -> None:
         for folder in missing:
             folder.rmdir()
     except OSError as error:
-        raise FiveBarError(f"out is {out}; a folder that is there or can be made is needed: {error.strerror}") from None
+        raise FiveBarError(f"out is {out}; a folder that exists or can be made is needed: {error.strerror}") from None
 
 
 def written(files: Iterable[Path]) -> None:
-    """Says which files there are now."""
+    """Lists the written files."""
     click.echo("\nWritten:")
     for file in files:
         click.echo(f"  {_shown(file)}  ({_size(file.stat().st_size)})")
 
 
 def show(file: Path | None, what: str, maker: str, no_open: bool) -> None:
-    """Says where a shipped page is, and opens it unless `no_open`.
+    """Prints the path of a shipped page, and opens it unless `no_open`.
 
     Raises FiveBarError if the package comes without it; `cargo xtask MAKER` makes it.
     """
@@ -121,7 +123,7 @@ def show(file: Path | None, what: str, maker: str, no_open: bool) -> None:
 
 
 def _shown(file: Path) -> Path:
-    """`file` as seen from the current directory, if it lies inside."""
+    """`file` relative to the current directory, if it is inside."""
     file, here = file.resolve(), Path.cwd().resolve()
     return file.relative_to(here) if file.is_relative_to(here) else file
 
@@ -131,14 +133,14 @@ def _size(size: int) -> str:
 
 
 def need(extra: str) -> None:
-    """Refuses a subcommand whose packages are missing."""
+    """Refuses the subcommand if packages of its extra are missing."""
     from fivebar import extras
 
     extras.need(extra)
 
 
 def assignments(given: tuple[str, ...]) -> dict[str, Any]:
-    """`NAME=VALUE` as a mapping: numbers, true and false as in JSON, everything else a word."""
+    """Parses `NAME=VALUE` arguments: numbers, true and false as in JSON, everything else as text."""
     found: dict[str, Any] = {}
     for text in given:
         name, equals, value = text.partition("=")

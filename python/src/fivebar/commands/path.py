@@ -1,4 +1,4 @@
-"""`fivebar path`: a drawing timed, checked and drawn by a scene's machine."""
+"""`fivebar path`: times, checks and runs a drawing with a scene's machine."""
 
 import math
 from pathlib import Path
@@ -17,18 +17,18 @@ def place(value: str) -> tuple[float, float]:
     try:
         x, y = map(float, value.split(","))
     except ValueError:
-        raise click.BadParameter(f"{value!r:.40} is no place X,Y in m, such as 0.05,0.24") from None
+        raise click.BadParameter(f"{value!r:.40} is not a place X,Y in m, such as 0.05,0.24") from None
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise click.BadParameter(f"{value!r:.40} is no place: both coordinates must be finite")
+        raise click.BadParameter(f"{value!r:.40} is not a place: both coordinates must be finite")
     return x, y
 
 
 @click.command()
 @click.argument("scene", type=options.SCENE, metavar="SCENE|FILE")
 @click.argument("drawing", type=options.FILE, metavar="DRAWING")
-@click.option("--at", type=place, required=True, metavar="X,Y", help="Where the middle of the drawing lies, m.")
+@click.option("--at", type=place, required=True, metavar="X,Y", help="Place of the middle of the drawing, m.")
 @click.option(
-    "--size", type=options.POSITIVE, metavar="W", help="Width of the drawing, m; as the drawing says unless told."
+    "--size", type=options.POSITIVE, metavar="W", help="Width of the drawing, m; default: the drawing's own size."
 )
 @click.option(
     "--speed", type=options.POSITIVE, default=0.1, show_default=True, metavar="V", help="Speed of the pen, m/s."
@@ -46,7 +46,7 @@ def place(value: str) -> tuple[float, float]:
     type=click.Choice(["constant", "minimumJerk"]),
     default="constant",
     show_default=True,
-    help="How the speed changes.",
+    help="Profile of the speed.",
 )
 @options.mode(multiple=False)
 @options.torque()
@@ -55,9 +55,9 @@ def place(value: str) -> tuple[float, float]:
     type=options.POSITIVE,
     default=math.inf,
     metavar="W",
-    help="Limit of the motors' rates, rad/s; none unless told.",
+    help="Limit of the motors' rates, rad/s; default: none.",
 )
-@click.option("--no-run", is_flag=True, help="Write the scene only: do not let the machine draw.")
+@click.option("--no-run", is_flag=True, help="Only write the scene, without running it.")
 @options.out("./SCENE/")
 def path(
     scene: str,
@@ -75,9 +75,10 @@ def path(
 ) -> None:
     """Let a machine draw.
 
-    The drawing becomes a scene, which the unit runs; a picture shows what was commanded and what the machine did. DRAWING is an .svg, whose lines, arcs and curves are followed whatever their colours, or a .csv with rows x,y or x,y,pen. Lengths are in
-    mm unless it says otherwise, y points up. Limits of torque are those of the scene's servos unless told: where the drawing asks for more,
-    it takes longer. A drawing that leaves the reach, or meets a stop or a singularity, is refused with the place and a picture.
+    The drawing becomes a scene, which the unit runs; a picture shows the commanded and the actual path. DRAWING is an .svg, with lines, arcs and
+    curves of any colour, or a .csv with rows x,y or x,y,pen. Lengths are in mm unless the file names another unit; y points up. If the drawing
+    needs more torque than the limits (default: the limits of the scene's servos), it takes longer. A drawing that leaves the reach, or meets a
+    stop or a singularity, is refused with the place and a picture.
 
     \b
     fivebar path pick_and_place logo.svg --at 0.05,0.26 --size 0.18
@@ -92,7 +93,7 @@ def path(
     ready = scenes.read(scene)
     if not ready["servo.enabled"]:
         raise FiveBarError(
-            f"the scene {ready.name} has servo.enabled = false, and servos are to follow the drawing: set it, and their gains"
+            f"the scene {ready.name} has servo.enabled = false, and servos must follow the drawing: enable them, and set their gains"
         )
     folder = Path(ready.name) if out is None else out
     placed = strokes.read(drawing).placed(at, size)
@@ -102,7 +103,7 @@ def path(
         made = paths.plan(ready, placed, Timing(profile, speed, acceleration), working, limits)
     except paths.Blocked as error:
         file = path_pictures.draw_blocked(ready, working, placed, error, drawing.name, folder)[-1]
-        raise FiveBarError(f"{error}; {file} shows where") from None
+        raise FiveBarError(f"{error}; {file} shows the place") from None
     folder.mkdir(parents=True, exist_ok=True)
     written = folder / f"{drawing.stem}.json"
     paths.write_scene(made, written, drawing.name)

@@ -1,4 +1,4 @@
-"""`fivebar replay`: a record's estimates once more."""
+"""`fivebar replay`: computes a record's estimates again."""
 
 import math
 from pathlib import Path
@@ -16,18 +16,18 @@ from fivebar.commands import options
     type=float,
     default=-math.inf,
     metavar="SECONDS",
-    help="Only from then on, after the record's first message.",
+    help="Begin, s after the record's first message.",
 )
-@click.option("--until", type=float, default=math.inf, metavar="SECONDS", help="Only until then.")
+@click.option("--until", type=float, default=math.inf, metavar="SECONDS", help="End, likewise.")
 def replay(file: Path, fmu: Path | None, since: float, until: float) -> int:
-    """Compute a record's estimates again, compare to the bit.
+    """Compute a record's estimates again and compare the bits.
 
-    FILE is what `fivebar twin` has recorded: a Parquet file, or the folder of its parts.
+    FILE is a record of `fivebar twin`: a Parquet file, or the folder of its parts.
 
     \b
     fivebar replay twin/runs/20261124-060000-1234/record
 
-    Exit code 1 if one differs, 3 if more were left out than compared.
+    Exit code 1 if an estimate differs, 3 if more were left out than compared.
     """
     options.need("twin")
     from fivebar import shipped

@@ -1,4 +1,4 @@
-"""`fivebar run`: a scene through the unit."""
+"""`fivebar run`: runs a scene."""
 
 from pathlib import Path
 
@@ -15,23 +15,26 @@ from fivebar.commands import completion, options
     type=completion.Assignment(),
     multiple=True,
     metavar="NAME=VALUE",
-    help="Another start value, in the variable's unit; once or more.",
+    help="Another start value, in the variable's unit; may be repeated.",
 )
 @click.option(
-    "--method", type=completion.Method(), metavar="NAME", help="Another item of solver.method, such as automatic."
+    "--method",
+    type=completion.Method(),
+    metavar="NAME",
+    help="Another method, an item of solver.method such as automatic.",
 )
+@click.option("--stop-time", type=float, metavar="SECONDS", help="Stop time instead of the scene's.")
 @click.option(
-    "--stop-time", type=float, metavar="SECONDS", help="How long it runs, in the place of the scene's own time."
+    "--step-size", type=float, metavar="SECONDS", help="Time between rows of the table instead of the scene's."
 )
-@click.option("--step-size", type=float, metavar="SECONDS", help="From one row of the table to the next, likewise.")
 @click.option(
     "--outputs",
     type=completion.Columns(),
     multiple=True,
     metavar="NAMES",
-    help="Columns of the table: names, or how they begin, such as tip,energy.error; once or more. All unless told.",
+    help="Columns of the table: names or prefixes, such as tip,energy.error; may be repeated; default: all.",
 )
-@click.option("--no-pictures", is_flag=True, help="Write tables and the animated page alone.")
+@click.option("--no-pictures", is_flag=True, help="Only write tables and the animated page.")
 @options.fmu()
 @options.out("./SCENE/")
 @click.option("--open", "open_page", is_flag=True, help="Show the animated page in the browser.")
@@ -49,14 +52,14 @@ def run(
 ) -> int:
     """Run a scene: summary, CSV, pictures and an animated page.
 
-    SCENE is one of those that `fivebar scenes` lists; a FILE ends in .json and holds start values by name.
+    SCENE is a name that `fivebar scenes` lists; FILE ends in .json and contains start values by name.
 
     \b
     fivebar run fall_90_120 --open
     fivebar run swing --set link[1].mass=0.02 --set viscous.enabled=true --method automatic
     fivebar run my_machine.json --out results --outputs tip,theta --no-pictures
 
-    Exit code 1 if a step failed; what there is until then is written.
+    Exit code 1 if a step failed; the results up to then are written.
     """
     from fivebar import scene as scenes
     from fivebar import simulate

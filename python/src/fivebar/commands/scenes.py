@@ -1,4 +1,4 @@
-"""`fivebar scenes`: what there is to run."""
+"""`fivebar scenes`: lists the shipped scenes."""
 
 import json
 
@@ -7,12 +7,12 @@ import click
 
 @click.command()
 @click.option(
-    "--schema", is_flag=True, help="Print the JSON Schema of scene files instead: editors complete names by it."
+    "--schema", is_flag=True, help="Print the JSON Schema of scene files instead: editors use it to complete names."
 )
 def scenes(schema: bool) -> None:
     """List the shipped scenes.
 
-    Each is a name for `fivebar run`, `fivebar twin` and the others, and begins from start values that a file of your own can have too.
+    `fivebar run`, `fivebar twin` and other commands take these names. A file of your own may set the same start values.
     """
     import fivebar
 

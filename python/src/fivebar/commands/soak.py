@@ -1,4 +1,4 @@
-"""`fivebar soak`: whether the twin follows hours of samples without loss or growth."""
+"""`fivebar soak`: follows hours of samples and checks for losses and growing memory."""
 
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from fivebar.commands import options
 
 
 @click.command()
-@click.option("--hours", type=float, default=1.0, show_default=True, help="Of 200 samples a second.")
+@click.option("--hours", type=float, default=1.0, show_default=True, help="Duration, h, at 200 samples a second.")
 @click.option(
     "--scene",
     type=options.SCENE,
@@ -25,9 +25,9 @@ from fivebar.commands import options
 def soak(fmu: Path | None, **given: Any) -> int:
     """Let the twin follow hours of samples as fast as it can.
 
-    Without broker and clock; nothing may be lost and nothing may grow.
+    It runs without broker and clock. No sample may be lost, and memory must not grow.
 
-    Exit code 1 if something is, 3 if forecasts were not as good as promised.
+    Exit code 1 if either fails, 3 if forecasts were not as good as promised.
     """
     options.need("twin")
     from fivebar import shipped

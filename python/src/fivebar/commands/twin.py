@@ -10,7 +10,7 @@ from fivebar.commands import options
 
 @click.command()
 @click.option(
-    "--seconds", type=float, default=60.0, show_default=True, help="Real time that it runs; inf until Ctrl-C."
+    "--seconds", type=float, default=60.0, show_default=True, help="Duration in real time, s; inf: until Ctrl-C."
 )
 @click.option(
     "--scene",
@@ -25,27 +25,27 @@ from fivebar.commands import options
 @click.option("--open", is_flag=True, help="Show the dashboard and keep running until Ctrl-C.")
 @options.fmu()
 @options.out("./twin/")
-@click.option("--unit", default="bench", show_default=True, help="What the machine is called in topics.")
-@click.option("--broker", metavar="HOST:PORT", help="Any MQTT broker, in the place of the one that comes along.")
+@click.option("--unit", default="bench", show_default=True, help="Name of the machine in topics.")
+@click.option("--broker", metavar="HOST:PORT", help="An MQTT broker instead of the included one.")
 @options.remote()
 @click.option(
     "--machine",
     type=click.Choice(["stand-in", "none"]),
     default="stand-in",
     show_default=True,
-    help="none: a real one publishes meas, unless --csv plays a recording.",
+    help="none: a real machine publishes meas, unless --csv plays a recording.",
 )
 @click.option(
     "--csv",
     type=options.FILE,
     metavar="FILE",
-    help="Play a recording, such as a table of `fivebar run`, in the place of a machine.",
+    help="Play a recording, such as a table of `fivebar run`, instead of a machine.",
 )
 @click.option(
     "--hidden",
     type=options.FILE,
     metavar="FILE",
-    help="What the stand-in has and the twin does not know: JSON, name to value.",
+    help="Properties of the stand-in that the twin does not know: JSON, values by name.",
 )
 @click.option(
     "--faults", default="", metavar="NAME=SHARE,...", help="Lose, double, delay samples on purpose, and more."

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     metavar="SCENE|FILE",
     help="Start values, experiment and description of the unit: a machine of your own.",
 )
-@click.option("--name", help="Name of the unit; unless told FiveBar, or that of the scene in CamelCase.")
+@click.option("--name", help="Name of the unit; default: FiveBar, or the scene's name in CamelCase.")
 @click.option(
     "--naming",
     type=click.Choice(["structured", "flat"]),
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 )
 @options.out("the current folder")
 def unit(scene: str | None, name: str | None, naming: "Naming", out: Path | None) -> None:
-    """Write the .fmu for your own tool, or of your machine.
+    """Write the .fmu for your own tool, also for a machine of your own.
 
-    Any FMI 2.0 master runs it with nothing set, on every machine that the shipped unit has a library for. No compiler is needed.
+    Any FMI 2.0 master runs it without setting a value, on every platform of the shipped unit. No compiler is needed.
 
     \b
     fivebar unit                                          FiveBar.fmu

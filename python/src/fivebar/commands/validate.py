@@ -14,7 +14,7 @@ from fivebar.commands import options
     type=options.SCENE,
     required=True,
     metavar="SCENE|FILE",
-    help="The machine, and what is known of it and its encoders.",
+    help="The machine, with its known parameters and encoders.",
 )
 @options.fmu()
 @options.out("./validate/")
@@ -22,12 +22,12 @@ def validate(record: Path, scene: str, fmu: Path | None, out: Path | None) -> in
     """Judge the twin on a recording of a machine.
 
     RECORD is a table with time (s), measured.theta[1..2] (rad) and, as far as known, commands (servo.theta, servo.omega, tau) and the tip (tip.x, tip.y).
-    The twin follows it; its last third is held out: innovations, forecasts and their bands are judged there, beside predictors that know no mechanics.
+    The twin follows it; its last third is held out: innovations, forecasts and their bands are judged there, and compared with predictors without mechanics.
 
     \b
     fivebar validate bench.csv --scene my_machine.json
 
-    Exit code 1 if less than 90 % are inside the 95 % bands, if forecasts of 0.1 s are worse than 1.2 times the best of the other predictors, or if the machine was not followed.
+    Exit code 1 if less than 90 % are inside the 95 % bands, if errors of forecasts of 0.1 s exceed 1.2 times those of the best other predictor, or if the machine was not followed.
     """
     options.need("twin")
     from fivebar import shipped

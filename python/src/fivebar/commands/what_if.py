@@ -9,16 +9,22 @@ from fivebar.commands import options
 
 @click.command("what-if")
 @click.option(
-    "--config", type=options.FILE, required=True, metavar="FILE", help="Of the running twin: twin/runs/RUN/twin.json."
+    "--config",
+    type=options.FILE,
+    required=True,
+    metavar="FILE",
+    help="Configuration of the running twin: twin/runs/RUN/twin.json.",
 )
 @click.option(
     "--candidates",
     type=options.FILE,
     metavar="FILE",
-    help="Commands to compare, and a goal; else staying, and a little to each side.",
+    help="Commands to compare, and a goal; default: staying, and a small step to each side.",
 )
-@click.option("--members", type=int, default=50, show_default=True, metavar="N", help="Motions of each command.")
-@click.option("--seconds", type=float, default=0.5, show_default=True, metavar="S", help="How far ahead.")
+@click.option(
+    "--members", type=int, default=50, show_default=True, metavar="N", help="Number of motions for each command."
+)
+@click.option("--seconds", type=float, default=0.5, show_default=True, metavar="S", help="Horizon, s.")
 @click.option(
     "--seed", type=int, default=0, show_default=True, metavar="N", help="The same seed gives the same members."
 )
@@ -28,17 +34,17 @@ from fivebar.commands import options
     default=1,
     show_default=True,
     metavar="N",
-    help="How many snapshots are answered; 0: until Ctrl-C.",
+    help="Number of answers; 0: until Ctrl-C.",
 )
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
-    help="A scheduler of Dask, which needs fivebar[cluster]; else all in this process.",
+    help="A Dask scheduler, which needs fivebar[cluster]; default: this process only.",
 )
 def what_if(**given: Any) -> int:
     """Compare commands from the running twin's state.
 
-    Each command is run by the same uncertain members; the better one meets a singularity less probably and ends nearer to the goal. The
+    Each command is run with the same uncertain members. A better command meets a singularity with less probability and ends nearer to the goal. The
     answer is printed, and published as `whatif`.
 
     \b

@@ -118,12 +118,12 @@ class Rider:
         setup, unit = self.setup, self.unit
         passed = max(0, math.floor((unit.time - book.clock) / setup.period + 1e-6))
         since = unit.time - book.clock - passed * setup.period
-        told = book.told
+        commands = book.told
         if passed and book.on_plan:
-            told = setup.scene.told((book.seq + passed) * setup.period)
+            commands = setup.scene.commands_at((book.seq + passed) * setup.period)
         values, slopes = {}, {}
-        for name, value in told.items():
-            rate = told.get(name.replace("theta", "omega"), 0.0) if name.startswith("servo.theta") else 0.0
+        for name, value in commands.items():
+            rate = commands.get(name.replace("theta", "omega"), 0.0) if name.startswith("servo.theta") else 0.0
             if passed and not book.on_plan:
                 # Without a plan, the drives are assumed to stop at the end of the last command.
                 value, rate = (0.0 if name.startswith("servo.omega") else value + rate * setup.period), 0.0
@@ -343,10 +343,10 @@ class Follower(Rider):
             book = replace(book, offset=book.offset + odd)
             self.jumps += 1
         fields = self.setup.scene.true(message.fields)
-        told = {name: value for name, value in fields.items() if name in INPUTS}
-        plan = self.setup.scene.told(message.seq * self.setup.period)
-        on_plan = told.keys() == plan.keys() and all(abs(told[name] - plan[name]) < 1e-6 for name in plan)
-        following = replace(book, time=message.time, seq=message.seq, told=told, on_plan=on_plan)
+        commands = {name: value for name, value in fields.items() if name in INPUTS}
+        plan = self.setup.scene.commands_at(message.seq * self.setup.period)
+        on_plan = commands.keys() == plan.keys() and all(abs(commands[name] - plan[name]) < 1e-6 for name in plan)
+        following = replace(book, time=message.time, seq=message.seq, told=commands, on_plan=on_plan)
         self.coast(self.book, following.clock)
         seen = [name for name in MEASURED if name in fields]
         self.unit.update(

@@ -369,8 +369,8 @@ def _delay(series: list[Series]) -> float | None:
         for each in parts:
             seen = each.time < each.begin
             for i in range(2):
-                told = np.interp(each.time[seen] - delay, each.time, each.commands[:, i])
-                total += float(np.nansum((told - each.angles[seen, i]) ** 2))
+                commanded = np.interp(each.time[seen] - delay, each.time, each.commands[:, i])
+                total += float(np.nansum((commanded - each.angles[seen, i]) ** 2))
         return total
 
     return float(min(delays, key=off))

@@ -71,7 +71,7 @@ class StandIn:
         """Returns the next sample and moves the machine one period further."""
         seq, period, machine = self.seq, self.config.period, self.config.machine
         truth = self.rider.unit.floats(SHOWN)
-        told = self.scene.shown(self.scene.told(seq * period))
+        commands = self.scene.shown(self.scene.commands_at(seq * period))
         # A generator for each sample, so that a restarted machine has the same noise.
         chance = random.Random(f"{machine.seed} {seq}")
         fields: dict[str, float] = {}
@@ -82,11 +82,11 @@ class StandIn:
                 angle = round(angle / quantum) * quantum
             if not machine.drop_outs or chance.random() >= machine.drop_outs:
                 fields[name] = angle
-        self._move(told)
+        self._move(commands)
         at = self.start_ns + round(1e9 * period) * seq
-        return Message("meas", self.config.unit, at, seq, fields | told | {name: truth[name] for name in TRACKED})
+        return Message("meas", self.config.unit, at, seq, fields | commands | {name: truth[name] for name in TRACKED})
 
-    def _move(self, told: dict[str, float]) -> None:
+    def _move(self, commands: dict[str, float]) -> None:
         """Moves the machine to the next sample."""
         now = self.rider.unit.time
         period = self.config.period
@@ -95,7 +95,7 @@ class StandIn:
             0,
             round(1e9 * period) * self.seq,
             self.seq,
-            {name: value - true.get(name, 0.0) for name, value in told.items()},
+            {name: value - true.get(name, 0.0) for name, value in commands.items()},
             True,
             1,
         )

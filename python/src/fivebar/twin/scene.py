@@ -63,7 +63,7 @@ class Scene:
         """Encoder reading minus true angle for a field of `meas`, rad."""
         return self.offsets.get(OFFSET_OF.get(name, ""), 0.0)
 
-    def told(self, time: float) -> dict[str, float]:
+    def commands_at(self, time: float) -> dict[str, float]:
         """Drive commands at a time, s, as true angles: the values of the `messages.INPUTS` in the scene, by name."""
         return {name: self.at(name, time) for name in self.signals if name in INPUTS}
 

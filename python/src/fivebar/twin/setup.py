@@ -34,12 +34,12 @@ def learning(library: Library, values: dict[str, float | int | bool]) -> dict[st
 
     Viscous friction is also learned if the scene has none, because bearings always have some. Its prior σ is then the unit's default friction.
     """
-    told: dict[str, float | int | bool] = {"estimator.learn.enabled": True}
+    switches: dict[str, float | int | bool] = {"estimator.learn.enabled": True}
     if values.get("viscous.enabled"):
-        return told
+        return switches
     usual = float(library.variable("viscous.b[1]").start)
     return (
-        told
+        switches
         | {"viscous.enabled": True, "estimator.learn.viscous": values.get("estimator.learn.viscous", usual)}
         | {f"viscous.b[{i}]": 0.0 for i in range(1, 6)}
     )

@@ -411,7 +411,7 @@ def check_followed(config: Config, stand_in: bool) -> None:
             name: float(known.values.get(f"init.theta[{i}]", library.variable(f"init.theta[{i}]").start))
             for i, name in enumerate(MEASURED, 1)
         }
-        sample: Message | None = Message("meas", config.unit, 0, 0, known.shown(begin | known.told(0.0)))
+        sample: Message | None = Message("meas", config.unit, 0, 0, known.shown(begin | known.commands_at(0.0)))
         if stand_in:
             machine: Player | StandIn
             if config.machine.csv:

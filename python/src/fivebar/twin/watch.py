@@ -87,7 +87,7 @@ class Cause:
 
     last: float = -math.inf
     most: float = 0.0
-    told: bool = False
+    reported: bool = False
     """Whether it was reported as an anomaly and has not been absent for long since."""
 
     def see(self, there: bool, value: float, now: float, on: float, off: float) -> None:
@@ -142,7 +142,7 @@ class Anomalies:
             )
         self.causes["silence"].see(False, 0.0, now, 0.0, 0.0)
         for cause in self.causes.values():
-            cause.told &= abs(now - cause.last) <= self.settings.cooling
+            cause.reported &= abs(now - cause.last) <= self.settings.cooling
         if self.state == "anomaly":
             self._name(fields)
         if self.state == "calibrating":
@@ -162,7 +162,7 @@ class Anomalies:
         """Alarms if estimates have stopped; `now` is on the same clock, s."""
         if not math.isnan(self.last) and now - self.last > self.settings.silence:
             self.causes["silence"].see(True, now - self.last, now, 0.0, 0.0)
-            if not self.causes["silence"].told:
+            if not self.causes["silence"].reported:
                 return self._raise("silence", now, {"seconds": now - self.last}, {})
         return []
 
@@ -203,7 +203,7 @@ class Anomalies:
     def _is_news(self, wrong: str, now: float) -> bool:
         """Whether to report a lasting cause: a force while the watch listens, a fault unless it was reported before."""
         cause = self.causes[wrong]
-        may = self.state == "listening" if wrong == "force" else now - self.begun >= STARTING and not cause.told
+        may = self.state == "listening" if wrong == "force" else now - self.begun >= STARTING and not cause.reported
         return may and cause.holds(self.settings.on)
 
     def _name(self, fields: dict[str, float]) -> None:
@@ -215,17 +215,17 @@ class Anomalies:
         self, cause: str, now: float, figures: dict[str, float], fields: dict[str, float]
     ) -> list[dict[str, Any]]:
         self.cause, self.named = cause, {}
-        self.causes[cause].told = True
+        self.causes[cause].reported = True
         self._name(fields)
         return [self._go("anomaly", now, figures=figures)]
 
     def _go(self, state: str, now: float, **more: Any) -> dict[str, Any]:
         self.state, self.since = state, now
         cause = "fault" if self.cause in FAULTS else self.cause
-        told = {"state": state, "cause": cause} | (self.named if state in ("anomaly", "calibrating") else {}) | more
+        content = {"state": state, "cause": cause} | (self.named if state in ("anomaly", "calibrating") else {}) | more
         if state != "anomaly":
             self.named = {}
-        return told
+        return content
 
 
 class Histogram:

@@ -1,6 +1,6 @@
-"""Calibration of a machine from a record: what is sought, the fits that seek it, and what was found.
+"""Calibration of a machine from a record: the unknowns, the fits and the results.
 
-`calibrate` is `fivebar.calibrate`, and the command does the same step by step.
+`calibrate` implements `fivebar.calibrate`; the command takes the same steps.
 """
 
 import json
@@ -33,35 +33,35 @@ log = logging.getLogger("fivebar")
 T = TypeVar("T")
 
 WELL_TOLD: Final = 0.05
-"""Standard deviation in sizes."""
+"""Standard deviation, in sizes."""
 
 WRONG: Final = 0.05
-"""rad: residuals of a machine that is not the scene's; noise of encoders and unmodelled effects are far below."""
+"""Residuals, rad, of a machine that is not the scene's; noise of encoders and unmodelled effects are far below."""
 
 ODD: Final = 10.0
 """Ratio of residuals to the noise of the encoders up to which there is no warning; residuals below `SMALL` never cause one."""
 
 SMALL: Final = 1e-3
-"""rad; residuals of less before the fit are those of a scene that is this machine's."""
+"""Residuals before the fit, rad, below which the scene is of this machine."""
 
 
 CONTRADICTED: Final = 2.0
-"""Ratio of the residuals with the scene's values of what is not identified to those without, noise alone, above which these values are not the
-machine's."""
+"""Ratio of residuals above which the scene's values of unidentified unknowns are wrong: residuals with these values fixed over residuals with
+them free (noise only)."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """The last fit, and what it identifies."""
+    """The last fit and its judgement."""
 
     fit: Fit
     judgement: Judgement
     sought: list[Parameter]
     wrong: str = ""
-    """Why nothing is believed, or ""."""
+    """Why the results are rejected, or ""."""
 
     odd: str = ""
-    """Why values may be off by more than their bars, or ""."""
+    """Why errors may exceed the error bars, or ""."""
 
     def refused(self) -> list[int]:
         """Indices of the unknowns that the record does not identify."""
@@ -70,25 +70,25 @@ class Solution:
 
 @dataclass(frozen=True)
 class Problem:
-    """A record, the machine that is assumed, and what is sought."""
+    """A record, the assumed machine, and the unknowns."""
 
     library: Library
     name: str
-    """Of the record."""
+    """Name of the record."""
 
     record: data.Data
     scene: Values
-    """Values that the machine is assumed to have, beside the unit's own."""
+    """Assumed values of the machine that differ from the unit's start values."""
 
     source: str
-    """Where these come from, in words."""
+    """Source of these values, in words."""
 
     sought: list[Parameter]
     taken: Array
-    """Standard deviations, in sizes, with which values are taken as right where the record tells less."""
+    """Prior standard deviations of the scene's values, in sizes."""
 
     def solve(self, commands: Between, longest: float, patience: float, show: Show) -> "Calibration":
-        """Fits, and says what is identified; raises GivenUp if that takes too long."""
+        """Fits and judges the unknowns; raises GivenUp after the time limit."""
         _check_positive("longest", longest)
         _check_positive("patience", patience)
         if commands not in get_args(Between):
@@ -102,7 +102,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
-    """What a record says of a machine: values with error bars, pictures, and the scene of the calibrated machine.
+    """Result of a calibration: values with error bars, pictures, and the scene of the calibrated machine.
 
     Examples
     --------
@@ -126,39 +126,39 @@ class Calibration:
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """Identified values by variable, SI; a group such as `link[1,4].mass` has one of each member."""
+        """Identified values by variable, SI; a group such as `link[1,4].mass` has a value for each member."""
         return self._members(lambda k, p: p.value(float(self.solution.fit.x[k])))
 
     @cached_property
     def bars(self) -> dict[str, float]:
-        """Half widths of their 95 % intervals."""
+        """Half-widths of the 95 % intervals by variable."""
         return self._members(lambda k, p: p.bar(interval(float(self.solution.judgement.sigma[k]))))
 
     @cached_property
     def bounds(self) -> dict[str, float]:
-        """The least half widths that white noise would allow (Cramér and Rao)."""
+        """Smallest possible half-widths for white noise (Cramér and Rao)."""
         return self._members(lambda k, p: p.bar(interval(float(self.solution.judgement.bound[k]))))
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """Their units."""
+        """Units by variable."""
         return self._members(lambda _, p: (p.unit,) * len(p.base))
 
     @property
     def correlations(self) -> dict[str, dict[str, float]]:
-        """Between all that was sought, by name."""
+        """Correlations between all unknowns, by name."""
         names = [p.name for p in self.solution.sought]
         rows = self.solution.judgement.correlation.tolist()
         return {name: dict(zip(names, row, strict=True)) for name, row in zip(names, rows, strict=True)}
 
     @property
     def not_identified(self) -> list[str]:
-        """What the record does not tell, in sentences."""
+        """Sentences about unknowns that the record does not identify."""
         return self.solution.judgement.not_identified(self.solution.sought)
 
     @property
     def warning(self) -> str:
-        """Why nothing is believed, or why values may be off by more than their bars; "" if there is no reason."""
+        """Why the results are rejected, or why errors may exceed the error bars; "" without a reason."""
         return self.solution.wrong or self.solution.odd
 
     @property
@@ -168,7 +168,7 @@ class Calibration:
         return left, right
 
     def _members(self, of: Callable[[int, Parameter], Sequence[T]]) -> dict[str, T]:
-        """Something of each variable that is identified."""
+        """The values of `of` for each identified variable."""
         found: dict[str, T] = {}
         for k, p in enumerate(self.solution.sought):
             if self.solution.judgement.identified[k]:
@@ -176,19 +176,23 @@ class Calibration:
         return found
 
     def start(self) -> Values:
-        """Start values with the estimates; what is not identified stays as it was assumed."""
+        """Start values with the estimates; other values stay as assumed."""
         kept = [k for k, known in enumerate(self.solution.judgement.identified) if known]
         x = [float(self.solution.fit.x[k]) for k in kept]
         return assemble(self.problem.scene, self.problem.library, [self.solution.sought[k] for k in kept], x)
 
     def content(self) -> dict[str, Any]:
-        """The scene of the calibrated machine as files have it: it starts as the record does.
+        """The scene of the calibrated machine as the content of a file, with the start of the record.
 
         Raises FiveBarError if nothing is identified.
         """
         if not self.values:
             raise TwinError(f"{self.problem.name} identifies nothing: there is no calibrated scene")
-        known = [self.solution.sought[k].name for k, told in enumerate(self.solution.judgement.identified) if told]
+        known = [
+            self.solution.sought[k].name
+            for k, is_identified in enumerate(self.solution.judgement.identified)
+            if is_identified
+        ]
         unknown = [self.solution.sought[k].name for k in self.solution.refused()]
         text = f"Calibrated from {self.problem.name}: {scenes.series(known)}."
         if unknown:
@@ -201,7 +205,7 @@ class Calibration:
         values |= {f"init.theta[{i}]": float(angle) for i, angle in enumerate(begin, 1)}
         values |= {f"init.omega[{i}]": float(rate) for i, rate in enumerate(first.state[2:], 1)}
         values["init.assembly"] = first.assembly
-        # First commands of the drives as start values: without a master the machine stays there.
+        # First commands of the drives as start values: without a master the machine stays in its posture.
         x = np.where(self.solution.judgement.identified, fit.x, [p.origin for p in self.solution.sought])
         commands = fit.pieces[0].path.first(offsets, fit.machine.constants(x))
         values |= {name: value for name, value in commands.items() if not name.startswith("servo.omega")}
@@ -210,14 +214,14 @@ class Calibration:
         return scenes_of.content(text, values, stop, 1e-3, self.problem.library.known)
 
     def scene(self) -> Scene:
-        """The calibrated machine, which `fivebar.run`, `fivebar.unit` and `fivebar.Unit` take.
+        """The calibrated machine as a scene for `fivebar.run`, `fivebar.unit` and `fivebar.Unit`.
 
         Raises FiveBarError if nothing is identified.
         """
         return scenes_of.parse("calibrated", json.dumps(self.content()), self.problem.library.known)
 
     def pictures(self, folder: str | Path) -> list[Path]:
-        """Draws residuals, error bars and correlations into a folder; the files written."""
+        """Draws residuals, error bars and correlations into a folder; returns the files."""
         from fivebar.twin.calibrate import pictures
 
         Path(folder).mkdir(parents=True, exist_ok=True)
@@ -225,11 +229,11 @@ class Calibration:
 
     @cached_property
     def impossible(self) -> list[str]:
-        """Why no machine can be as this one, in sentences."""
+        """Sentences about impossible values of the calibrated machine."""
         return doubts(dict(self.problem.library.known.start) | self.start())
 
     def figures(self) -> dict[str, Any]:
-        """All figures, in terms of JSON."""
+        """All results, as values for JSON."""
         fit, judgement, given = self.solution.fit, self.solution.judgement, self.problem.record
         unknowns = {}
         for k, p in enumerate(self.solution.sought):
@@ -265,7 +269,7 @@ class Calibration:
         }
 
     def summary(self) -> str:
-        """What the command prints: samples, residuals, values with their bars, what is not identified."""
+        """Text for the command: samples, residuals, values with error bars, unidentified unknowns."""
         fit, judgement, given = self.solution.fit, self.solution.judgement, self.problem.record
         count = sum(len(series) for series in given.series)
         lines = [self.warning] if self.warning else []
@@ -306,14 +310,14 @@ def prepare(
     seconds: float,
     unit: str,
 ) -> Problem:
-    """Reads a record, and finds what is sought; arguments as of `fivebar.calibrate`."""
+    """Reads a record and resolves the unknowns; arguments as for `fivebar.calibrate`."""
     _check_positive("seconds", seconds)
     given = data.read(record, begin, seconds, unit)
     data.check(given)
     assumed, source = scenes.start_values(scene, record, library)
     given = data.turned(given, library, assumed)
     sought = parameters(names or usual(assumed), library, assumed)
-    # Who asks for a length by its name takes the scene's for no better than the record's.
+    # A length that the user names as unknown gets no prior from the scene.
     taken = np.full(len(sought), np.inf) if names else trusted(sought, library)
     name = Path(record).name if isinstance(record, Path) else recording.GIVEN
     return Problem(library, name, given, assumed, source, sought, taken)
@@ -332,7 +336,7 @@ def calibrate(
     unit: str = "",
     fmu: str | Path | None = None,
 ) -> Calibration:
-    """`fivebar.calibrate`, which describes the arguments; `names` are its `parameters`."""
+    """Implements `fivebar.calibrate`; `names` are its `parameters`."""
     record = Path(record) if isinstance(record, str) else record
     library = shared(Path(fmu) if fmu else None)
     names = (names,) if isinstance(names, str) else names
@@ -353,9 +357,9 @@ def solve(
     patience: float = math.inf,
     taken: np.ndarray | None = None,
 ) -> Solution:
-    """Fits; then once more with the unknowns that are not identified held at the scene's values.
+    """Fits; then fits again with unidentified unknowns fixed at the scene's values.
 
-    `taken`: standard deviations, in sizes, with which the scene's values are taken as right where the record tells less; by default infinite.
+    `taken`: prior standard deviations of the scene's values, in sizes; infinite by default.
     """
     fitter = Fitter(machine, given, between, longest, show, patience)
     sought = list(machine.sought)
@@ -366,10 +370,10 @@ def solve(
     judgement = judge(fit, sought, held) if np.any(held < free) else first
     pins = np.empty((0, len(sought)))
     for settled in (bool(np.all(held == free)) and float(np.max(judgement.sigma)) < WELL_TOLD, True, True):
-        told = len(pins)
+        before = len(pins)
         pins = _pins(judgement, len(sought))
         # The prior moves no unknown that is identified this well.
-        if len(pins) == told and settled:
+        if len(pins) == before and settled:
             break
         if names := [p.name for p, known in zip(sought, judgement.identified, strict=True) if not known]:
             show(f"not identified: {', '.join(names)}; fitted once more with that as it is in the scene")
@@ -389,7 +393,7 @@ def solve(
 
 
 def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
-    """Why nothing of a fit is to be believed, and why it is to be believed less than its bars say; "" if there is no reason."""
+    """Why a fit is rejected, and why its errors may exceed the error bars; "" without a reason."""
     worst = int(np.argmax(fit.sigma))
     residual, shown = float(fit.sigma[worst]), 10 * float(tenth[worst])
     text = f"residuals of encoder {worst + 1} are {1e3 * residual:.3g} mrad after the fit, where the encoder shows {1e3 * shown:.2g} mrad of noise"
@@ -416,7 +420,7 @@ def _both(before: Judgement, later: Judgement) -> Judgement:
 
 
 def _pins(judgement: Judgement, count: int) -> np.ndarray:
-    """Combinations that are not told, and unknowns that are not although neither a combination says why nor the scene's value holds them."""
+    """Sentences about combinations that are not identified, and about other unidentified unknowns without a prior."""
     rows = [combination.weights for combination in judgement.combinations]
     for k, known in enumerate(judgement.identified):
         if not known and not np.isfinite(judgement.held[k]) and not any(abs(row[k]) > 0.1 for row in rows):
@@ -425,7 +429,7 @@ def _pins(judgement: Judgement, count: int) -> np.ndarray:
 
 
 def usual(scene: Values) -> list[str]:
-    """Names of the default unknowns: those of `USUAL` that the scene has."""
+    """Names of the default unknowns: the part of `USUAL` that the scene has."""
     left_out = [] if scene.get("payload.enabled", False) else ["payload.mass"]
     left_out += [] if scene.get("gravity.enabled", True) else ["gravity.direction"]
     return [name for name in USUAL if name not in left_out]

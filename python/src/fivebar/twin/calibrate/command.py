@@ -32,28 +32,28 @@ class Options:
     """Unknowns by name; none means `USUAL`."""
 
     scene: str | Path | None
-    """Scene with the assumed parameters of the machine; without one that of the record."""
+    """Scene with the assumed parameters of the machine; by default the record's scene."""
 
     begin: float
-    """s after the first sample."""
+    """Begin of the used part, s after the first sample."""
 
     seconds: float
-    """Of the record that are used."""
+    """Length of the used part, s."""
 
     longest: float
-    """s: longer series are cut."""
+    """Length, s, at which longer series are cut."""
 
     commands: Between
     """Course of the commands between samples."""
 
     patience: float
-    """s of CPU after which a fit is given up."""
+    """CPU time, s, after which a fit is abandoned."""
 
     unit: str
     """Name of the machine, if the record has several."""
 
     proposal: bool
-    """Whether to look for a motion that would tell what is not identified."""
+    """Whether to search for a motion that identifies the remaining unknowns."""
 
     fmu: Path
     out: Path
@@ -68,7 +68,7 @@ def run(options: Options) -> int:
             options.file, options.scene, options.parameters, library, options.begin, options.seconds, options.unit
         )
         options.out.mkdir(parents=True, exist_ok=True)
-        # Those of an earlier record would be taken for this one's.
+        # Files of an earlier record could be mistaken for files of this one.
         calibrated, proposed = (options.out / name for name in ("calibrated.json", "proposal.json"))
         for file in (calibrated, proposed):
             if options.scene is None or Path(options.scene).resolve() != file.resolve():
@@ -110,14 +110,14 @@ def _show(text: str) -> None:
 def _write_proposal(
     file: Path, problem: Problem, noise: np.ndarray, present: np.ndarray, fmu: Path
 ) -> dict[str, Any] | None:
-    """Writes the scene of a motion that would tell more, if there is one; how to run it, and what it tells."""
+    """Writes the scene of a motion that identifies more, if there is one; returns its command and the unknowns that it identifies."""
     library, sought = problem.library, problem.sought
     motion = propose(library, problem.scene, sought, problem.taken, noise, present)
     if motion is None:
         return None
-    told = motion.told(present)
+    improved = motion.improved(present)
     text = (
-        f"A motion that would tell {scenes.series([sought[k].name for k in told])}: motors on sines of {motion.amplitude:g} rad and "
+        f"A motion to identify {scenes.series([sought[k].name for k in improved])}: motors on sines of {motion.amplitude:g} rad and "
         f"{motion.frequency:g} Hz, about the posture in which it begins."
     )
     write_content(file, content(text, motion.values, SECONDS, 1e-3, library.known, motion.signals()))
@@ -127,16 +127,16 @@ def _write_proposal(
     return {
         "scene": str(file),
         "command": shlex.join(command),
-        "tells": {sought[k].name: float(sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in told},
+        "tells": {sought[k].name: float(sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in improved},
     }
 
 
 def _say_proposal(proposal: dict[str, Any] | None) -> None:
-    """How to learn more."""
+    """Lines on the proposed motion."""
     if proposal is None:
-        print("no motion of those that were tried would tell more")
+        print("none of the tried motions would identify more")
         return
-    told = ", ".join(f"{name} to ±{bar:.2g}" for name, bar in proposal["tells"].items())
+    gains = ", ".join(f"{name} to ±{bar:.2g}" for name, bar in proposal["tells"].items())
     print(
-        f"a motion that would tell {told}: {proposal['scene']}\nrun it, and calibrate the record that it leaves:\n  {proposal['command']}"
+        f"a motion to identify {gains}: {proposal['scene']}\nrun it, then calibrate its record:\n  {proposal['command']}"
     )

@@ -96,9 +96,9 @@ def check(data: Data) -> None:
     if not all(name in names for name in servos):
         return
     angles = np.concatenate([series.angles for series in data.series])
-    told = np.concatenate([series.commands[:, [names.index(name) for name in servos]] for series in data.series])
+    commanded = np.concatenate([series.commands[:, [names.index(name) for name in servos]] for series in data.series])
     # Without 1 % on either side, because outliers look like motion of a resting machine.
-    moved, led = (np.diff(np.nanquantile(each, (0.01, 0.99), axis=0), axis=0)[0] for each in (angles, told))
+    moved, led = (np.diff(np.nanquantile(each, (0.01, 0.99), axis=0), axis=0)[0] for each in (angles, commanded))
     if float(led.max()) > MOVES and np.all(~(moved > 0.02 * led.max())):
         raise TwinError(
             f"the measured angles stand still (they move by {1e3 * float(np.nan_to_num(moved).max()):.3g} mrad) while servo commands move "
@@ -106,7 +106,7 @@ def check(data: Data) -> None:
         )
 
     def apart(columns: list[int]) -> float:
-        gap = angles - told[:, columns]
+        gap = angles - commanded[:, columns]
         return float(np.sqrt(np.nanmean((gap - 2 * math.pi * np.round(gap / (2 * math.pi))) ** 2)))
 
     if apart([1, 0]) < 0.3 * apart([0, 1]):

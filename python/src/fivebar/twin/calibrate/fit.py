@@ -472,10 +472,10 @@ class Fitter:
                 longer, end = self.explain(longer, begin, prior, length)
             else:
                 end = self.stage("all unknowns", longer, begin, prior, length)
-                if length == lengths[1] and (told := self.told(longer, end)) < p:
+                if length == lengths[1] and (identified := self.determined(longer, end)) < p:
                     self.show(
-                        f"these pieces tell {told} of {p} combinations of the unknowns: whole series may tell more, "
-                        "but with fewer unknowns (--parameters) each value would be told better"
+                        f"these pieces identify {identified} of {p} combinations of the unknowns: whole series may identify more, "
+                        "but with fewer unknowns (--parameters) each value would be more precise"
                     )
             found = spread(self.gaps(longer, end), longer)
             if length == lengths[0]:
@@ -520,7 +520,7 @@ class Fitter:
             found.append(piece)
         return found
 
-    def told(self, pieces: list[Piece], z: Array) -> int:
+    def determined(self, pieces: list[Piece], z: Array) -> int:
         """Number of combinations of the unknowns that the pieces determine to `LIMIT`, by the last derivatives."""
         p = len(self.sought)
         sigma = np.maximum(spread(self.gaps(pieces, z), pieces), self.noise)

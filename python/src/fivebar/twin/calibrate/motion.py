@@ -46,7 +46,7 @@ class Path:
         self.time = samples.time - samples.time[0]
         self.inputs = library.blocks(samples.names)
         self.knots, self.rows = with_lost(self.time, period)
-        commands = told(self.time, samples.commands, samples.names, self.knots)
+        commands = at_knots(self.time, samples.commands, samples.names, self.knots)
         steps = np.diff(self.knots)
         slopes = np.zeros_like(commands[:-1])
         if between == "linear":
@@ -85,7 +85,7 @@ def with_lost(time: Array, period: float) -> tuple[Array, Array]:
     return np.interp(np.arange(rows[-1] + 1), rows, time), rows
 
 
-def told(time: Array, commands: Array, names: tuple[str, ...], knots: Array) -> Array:
+def at_knots(time: Array, commands: Array, names: tuple[str, ...], knots: Array) -> Array:
     """Commands at other times: cubic interpolation of servo angles with their rates, linear interpolation of all others."""
     if len(knots) == len(time):
         return commands
@@ -113,13 +113,13 @@ class Player(Unit):
         [block] = path.inputs or [None]
         if block is not None:
             inputs = len(block.references)
-            told = (block.values * len(commands)).from_buffer(commands.data)
+            numbers = (block.values * len(commands)).from_buffer(commands.data)
             rates = (block.values * len(slopes)).from_buffer(slopes.data)
         with self._lock:
             for k, (time, end) in enumerate(pairwise(times)):
                 # fmi2OK and fmi2Warning are 0 and 1.
                 failed = block is not None and (
-                    functions.fmi2SetReal(component, block.references, inputs, told[k]) > 1
+                    functions.fmi2SetReal(component, block.references, inputs, numbers[k]) > 1
                     or path.ramps[k]
                     and functions.fmi2SetRealInputDerivatives(
                         component, block.references, inputs, block.orders, rates[k]

@@ -68,7 +68,7 @@ class Motion:
     sigma: Array
     """Standard deviations of the unknowns, in sizes."""
 
-    def told(self, present: Array) -> list[int]:
+    def improved(self, present: Array) -> list[int]:
         """Unknowns that a record of the motion would identify, with much smaller standard deviations than `present`."""
         return np.flatnonzero(self.sigma < np.minimum(LIMIT, FINER * present)).tolist()
 
@@ -116,8 +116,8 @@ def propose(
         motion = _tried(library, scene, whole, sought, taken, noise, amplitude, frequency)
         if motion is not None:
             # First the number of identified unknowns counts, then the size of the error bars.
-            told = motion.told(present)
-            merit = len(told), -float(np.sum(np.log(motion.sigma[told])))
+            improved = motion.improved(present)
+            merit = len(improved), -float(np.sum(np.log(motion.sigma[improved])))
             if merit[0] and merit > merits:
                 best, merits = motion, merit
     return best
@@ -200,9 +200,9 @@ def _tried(
     finally:
         machine.close()
     weighted = (derivative / noise[:, None]).reshape(-1, derivative.shape[2])
-    told = without_starts(weighted, len(sought))
+    information = without_starts(weighted, len(sought))
     # The information of one pass sampled every `STEP`; repeated motions give more.
-    total = told.T @ told + np.diag(1e-12 + taken**-2)
+    total = information.T @ information + np.diag(1e-12 + taken**-2)
     sigma = np.sqrt(np.maximum(np.diag(np.linalg.pinv(total, rcond=1e-13)), 0.0))
     # The pseudo-inverse drops unidentified directions, so that their error bars would be 0.
     sizes, directions = np.linalg.eigh(total)

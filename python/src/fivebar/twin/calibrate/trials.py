@@ -237,8 +237,8 @@ def column(rows: list[dict[str, Any]], name: str) -> Array:
 def inside(rows: list[dict[str, Any]]) -> Array:
     """1 if a 95 % error bar contains the truth, else 0; NaN if the unknown was not identified; (trials, unknowns)."""
     held = np.abs(column(rows, "off")) <= interval(1.0) * column(rows, "sigma")
-    told = np.array([row.get("identified", [True] * held.shape[1]) for row in rows])
-    return np.where(told, held, np.nan)
+    identified = np.array([row.get("identified", [True] * held.shape[1]) for row in rows])
+    return np.where(identified, held, np.nan)
 
 
 def _report(rows: list[dict[str, Any]], keys: range, machines: str, out: FilePath) -> int:

@@ -53,7 +53,7 @@ class Story:
             "singular": {
                 "probability": met / max(1, self.members - self.failed),
                 "kinds": {kind: len(times) for kind, times in self.singular_times.items()},
-                "time_s": {str(level): float(np.quantile(every, level)) for level in LEVELS if level in told(met)}
+                "time_s": {str(level): float(np.quantile(every, level)) for level in LEVELS if level in determined(met)}
                 if met
                 else {},
             },
@@ -61,14 +61,14 @@ class Story:
                 name: {
                     str(level): float(value)
                     for level, value in zip(LEVELS, band[-1], strict=True)
-                    if level in told(self.members - self.failed)
+                    if level in determined(self.members - self.failed)
                 }
                 for name, band in self.bands.items()
             },
         }
 
 
-def told(members: int) -> tuple[float, ...]:
+def determined(members: int) -> tuple[float, ...]:
     """Quantile levels for a number of members: only the median for few members, which give no 95 % interval."""
     return LEVELS if members >= FEWEST else (0.5,)
 
@@ -144,7 +144,7 @@ def _bands(story: Story) -> Figure:
         rows.T.flat, SHOWN, (TIP, TIP, LEFT, RIGHT), (1e3, 1e3, 1.0, 1.0), ("mm", "mm", "rad", "rad"), strict=True
     ):
         band = factor * story.bands[name]
-        if len(told(story.members - story.failed)) > 1:
+        if len(determined(story.members - story.failed)) > 1:
             axes.fill_between(story.time, band[:, 0], band[:, 4], color=colour, alpha=0.18, linewidth=0, label="95 %")
             axes.fill_between(story.time, band[:, 1], band[:, 3], color=colour, alpha=0.35, linewidth=0, label="50 %")
         axes.plot(story.time, band[:, 2], color=colour, label="median")

@@ -72,22 +72,24 @@ class Candidate:
     name: str
     knots: dict[str, list[tuple[float, float]]]
 
-    def rows(self, told: dict[str, float], names: tuple[str, ...], seconds: float) -> tuple[tuple[float, ...], ...]:
+    def rows(
+        self, setpoints: dict[str, float], names: tuple[str, ...], seconds: float
+    ) -> tuple[tuple[float, ...], ...]:
         """Rows of input values every `PERIOD`. An input without knots keeps its value; servo rates are the rates of the servo angles."""
         times = PERIOD * np.arange(math.ceil(seconds / PERIOD - 1e-9) + 1)
         columns = []
         for name in names:
             angle = name.replace("omega", "theta")
             if name in self.knots:
-                columns.append(way(times, self.knots[name], told.get(name, 0.0)))
+                columns.append(way(times, self.knots[name], setpoints.get(name, 0.0)))
             elif name.startswith("servo.omega"):
                 columns.append(
-                    np.gradient(way(times, self.knots[angle], told.get(angle, 0.0)), PERIOD)
+                    np.gradient(way(times, self.knots[angle], setpoints.get(angle, 0.0)), PERIOD)
                     if angle in self.knots
                     else np.zeros(len(times))
                 )
             else:
-                columns.append(np.full(len(times), told.get(name, 0.0)))
+                columns.append(np.full(len(times), setpoints.get(name, 0.0)))
         return tuple(tuple(row) for row in np.column_stack(columns).tolist())
 
 
@@ -102,16 +104,16 @@ def way(times: np.ndarray, knots: list[tuple[float, float]], begin: float) -> np
     return found
 
 
-def usual(told: dict[str, float], seconds: float) -> list[Candidate]:
+def usual(setpoints: dict[str, float], seconds: float) -> list[Candidate]:
     """Default candidates: staying, and each motor a little to either side."""
-    kind = "servo.theta" if any(name.startswith("servo.theta") for name in told) else "tau"
+    kind = "servo.theta" if any(name.startswith("servo.theta") for name in setpoints) else "tau"
     step = TURN if kind == "servo.theta" else 0.01
     found = [Candidate("stay", {})]
     for i in (1, 2):
         for sign, word in ((1, "+"), (-1, "-")):
             name = f"{kind}[{i}]"
             found.append(
-                Candidate(f"{name} {word}{step:g}", {name: [(0.8 * seconds, told.get(name, 0.0) + sign * step)]})
+                Candidate(f"{name} {word}{step:g}", {name: [(0.8 * seconds, setpoints.get(name, 0.0) + sign * step)]})
             )
     return found
 
@@ -193,18 +195,19 @@ def compare(
     begun, spent = time.perf_counter(), time.process_time()
     library = Library(fmu)
     try:
-        told = {str(name): float(value) for name, value in state.extra["book"]["told"].items()}
+        setpoints = {str(name): float(value) for name, value in state.extra["book"]["told"].items()}
         snapshot = base64.b64decode(state.extra["state"], validate=True)
         common = {"seconds": options.seconds, "points": POINTS, "seed": options.seed}
         plan = of_state(snapshot, float(state.extra["clock"]), library, None, common)
-        chosen = candidates or usual(told, options.seconds)
+        chosen = candidates or usual(setpoints, options.seconds)
         names = tuple(
             name
             for name in INPUTS
-            if name in told or any(name in c.knots or name.replace("omega", "theta") in c.knots for c in chosen)
+            if name in setpoints or any(name in c.knots or name.replace("omega", "theta") in c.knots for c in chosen)
         )
         plans = [
-            replace(plan, names=names, commands=c.rows(told, names, options.seconds), period=PERIOD) for c in chosen
+            replace(plan, names=names, commands=c.rows(setpoints, names, options.seconds), period=PERIOD)
+            for c in chosen
         ]
         results = _all(fmu, library, plans, options)
         found = [

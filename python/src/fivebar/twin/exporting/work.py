@@ -110,14 +110,14 @@ def _pass(message: Message, of: Machine, writer: Writer) -> None:
     elif message.kind == "learned":
         writer.numbers("learned", time, fields)
     elif message.kind == "alarm":
-        told = [
+        parts = [
             str(extra[name])
             for name in ("state", "named" if "named" in extra else "cause", "sentence")
             if name in extra
         ]
         is_alarm = extra["state"] in ("anomaly", "trouble")
         writer.numbers("alarm", time, {"anomaly": float(extra["state"] == "anomaly")})
-        writer.sentence(time, ": ".join(told), is_alarm)
+        writer.sentence(time, ": ".join(parts), is_alarm)
     else:
         lost = f"{extra['of']} {fields['first']:.0f} to {fields['last']:.0f} are missing"
         writer.sentence(time, ": ".join([lost, *([extra["why"]] if "why" in extra else [])]), False)

@@ -130,8 +130,8 @@ def of_file(file: Path, map_file: Path | None, unit: str, scene: str) -> Source:
         except WrongUnit as doubt:
             entry = used.time if doubt.name == TIME else used.entries[doubt.name]
             if doubt.unit == COUNTS:
-                told = f'"unit": "{COUNTS}", "steps": N, with N counts in a turn of the motor axis (docs/recordings.md)'
-                raise FiveBarError(f"{doubt} For {doubt.name}, the map then needs {told}") from None
+                keys = f'"unit": "{COUNTS}", "steps": N, with N counts in a turn of the motor axis (docs/recordings.md)'
+                raise FiveBarError(f"{doubt} For {doubt.name}, the map then needs {keys}") from None
             if entry.unit:
                 raise
             findings.append(Finding("fix", "units", f"{doubt.question} Taken as {doubt.unit}."))
@@ -340,14 +340,14 @@ def _estimator(measured: Quality, scene: Scene, report: Report) -> None:
     i = measured.name[-3:]
     known = setup.encoders(configuration.Machine(), scene.values)
     quantum, sigma = known[f"estimator.quantum{i}"], known[f"estimator.sigma{i}"]
-    error, told = np.hypot(measured.noise, measured.step / 12**0.5), np.hypot(sigma, quantum / 12**0.5)
+    error, assumed = np.hypot(measured.noise, measured.step / 12**0.5), np.hypot(sigma, quantum / 12**0.5)
     # Without steps, a small error may be an encoder that stands still, or a simulated one.
-    if error > OTHER * told or (measured.step and error * OTHER < told):
+    if error > OTHER * assumed or (measured.step and error * OTHER < assumed):
         report.scene |= measured.settings()
         report.findings.append(
             Finding(
                 "fix",
                 "noise",
-                f"{measured.name} has an error of {1e3 * error:.3g} mrad by steps and noise, and the twin takes {1e3 * told:.3g} mrad",
+                f"{measured.name} has an error of {1e3 * error:.3g} mrad by steps and noise, and the twin takes {1e3 * assumed:.3g} mrad",
             )
         )

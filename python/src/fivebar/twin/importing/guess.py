@@ -24,15 +24,15 @@ def lines(found: Recording, used: Map, given: str) -> list[str]:
     """Lines about the map of a recording of the scene's machine, with a proposed map."""
     scene = scenes.read(given)
     verdict = weighed(found, used, scene)
-    told = [f"by the scene {scene.name}, assuming its assembly is right:"]
-    told += [f"  {evidence(each)}" for each in verdict.evidence]
+    sentences = [f"by the scene {scene.name}, assuming its assembly is right:"]
+    sentences += [f"  {evidence(each)}" for each in verdict.evidence]
     if others := alike(verdict):
-        told.append(f"  {others}")
-    told += [f"  {sentence}" for sentence in zeros(verdict)]
+        sentences.append(f"  {others}")
+    sentences += [f"  {sentence}" for sentence in zeros(verdict)]
     proposed = propose(found, used, scene, verdict)
     if proposed == used:
-        return [*told, "the map may stay as it is"]
-    return [*told, "proposed map:", proposed.text()]
+        return [*sentences, "the map may stay as it is"]
+    return [*sentences, "proposed map:", proposed.text()]
 
 
 def weighed(found: Recording, used: Map, scene: Scene) -> Verdict:
