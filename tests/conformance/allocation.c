@@ -1,6 +1,6 @@
-/* `allocation LIBRARY GUID VARIABLES STEPS`: malloc and its kin are defined here, before those of the C library, and count; between start
- * and end of a run they must not be called: not by steps, by setting inputs, input derivatives and tunable parameters, by reading, nor by
- * storing a state over an old one and going back to it. */
+/* `allocation LIBRARY GUID VARIABLES STEPS`: this program defines malloc and its family, which count and replace the C library's. During a
+ * run nothing may call them: no step, no setting of inputs, input derivatives and tunable parameters, no reading, no storing of a state over an
+ * old one, and no restoring. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <errno.h>
@@ -8,7 +8,7 @@
 
 #include "master.h"
 
-/* The allocator of the C library under the names that it keeps for programs like this one. */
+/* The C library's allocator, under its names for such programs. */
 extern void *__libc_malloc(size_t size);
 extern void *__libc_calloc(size_t number, size_t size);
 extern void *__libc_realloc(void *old, size_t size);

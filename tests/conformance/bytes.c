@@ -1,5 +1,5 @@
-/* `bytes LIBRARY GUID VARIABLES write FILE`: runs every scene and writes, from half-way, its state as bytes, and what is seen at the end.
- * `bytes LIBRARY GUID VARIABLES read FILE`, in another process: goes on from these bytes, and must see the same at the end. */
+/* `bytes LIBRARY GUID VARIABLES write FILE`: runs every scene and writes the bytes of its state at half-time and its variables at the end.
+ * `bytes LIBRARY GUID VARIABLES read FILE`, in another process: continues from these bytes and must reach the same end. */
 #include <stdio.h>
 #include <string.h>
 

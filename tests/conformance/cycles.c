@@ -1,5 +1,5 @@
-/* `cycles LIBRARY GUID VARIABLES CYCLES`: loads, runs, frees and unloads again and again. After a fifth of the cycles nothing may grow any
- * more: neither the heap, to the byte, nor resident memory, mappings, open files and threads. */
+/* `cycles LIBRARY GUID VARIABLES CYCLES`: loads, runs, frees and unloads repeatedly. After a fifth of the cycles nothing may grow: neither
+ * the heap, to the byte, nor resident memory, mappings, open files and threads. */
 #include <dlfcn.h>
 #include <malloc.h>
 #include <stdio.h>
@@ -9,7 +9,7 @@
 
 #include "master.h"
 
-/* Rounding of the allocator and pages that the kernel takes its time with; a leak of a kilobyte per cycle would be six times this. */
+/* Rounding of the allocator, and pages that the kernel frees late; a leak of a kilobyte per cycle would be six times this. */
 static const long RESIDENT_SLACK = 200 * 1024;
 
 typedef struct {

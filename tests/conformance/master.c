@@ -45,7 +45,7 @@ static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2St
     log->lines++;
     log->status = status;
     snprintf(log->category, sizeof log->category, "%s", category);
-    /* As the standard wants it: the text is a format. */
+    /* By the standard the text is a printf format. */
     va_start(arguments, text);
     vsnprintf(log->text, sizeof log->text, text, arguments);
     va_end(arguments);

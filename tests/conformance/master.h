@@ -1,5 +1,5 @@
-/* A small master in C: what the programs of this folder share. Types and prototypes are those of the standard's own headers, which
- * the pinned FMPy carries; nothing here was made from the library's sources. */
+/* A small master in C, shared by the programs of this folder. Types and prototypes come from the standard's headers in the pinned FMPy;
+ * nothing here was made from the library's sources. */
 #ifndef MASTER_H
 #define MASTER_H
 
@@ -9,7 +9,7 @@
 
 #include "fmi2FunctionTypes.h"
 
-/* Every function that a unit for both kinds exports (FMI 2.0.4, sections 2.1, 3.2 and 4.2.1). */
+/* Every function that a unit of both kinds exports (FMI 2.0.4, sections 2.1, 3.2 and 4.2.1). */
 #define FMI2_FUNCTIONS(X)                                                                                                          \
     X(GetTypesPlatform) X(GetVersion) X(Instantiate) X(FreeInstance) X(SetDebugLogging) X(SetupExperiment)                         \
     X(EnterInitializationMode) X(ExitInitializationMode) X(Terminate) X(Reset) X(GetReal) X(GetInteger) X(GetBoolean) X(GetString) \
@@ -25,10 +25,10 @@ typedef struct {
 #undef FIELD
 } Functions;
 
-/* The functions of the library that was loaded last. */
+/* The functions of the last loaded library. */
 extern Functions fmi2;
 
-/* Loads a library and looks up every function; NULL where it cannot be loaded. */
+/* Loads a library and looks up every function; NULL on failure. */
 void *load(const char *file);
 void unload(void *library);
 
@@ -46,14 +46,14 @@ typedef struct {
     char text[2048];
 } Log;
 
-/* An instance for co-simulation, or of any kind; NULL where the library refuses. */
+/* An instance for co-simulation, or of any kind; NULL if the library refuses. */
 fmi2Component instantiate(Log *log, const char *guid, bool logging_on);
 fmi2Component instantiate_as(fmi2Type kind, Log *log, const char *guid, bool logging_on);
-/* The callbacks that `instantiate` uses: the logger of this master, and nothing else. */
+/* The callbacks of `instantiate`: only the logger of this master. */
 fmi2CallbackFunctions callbacks(Log *log);
 
 typedef enum { REAL, INTEGER, BOOLEAN } Type;
-/* A sample is a discrete input: an encoder may tell anything, also what is no number, and its changes have no derivatives. */
+/* A sample is a discrete input: an encoder may deliver anything, also NaN, and its changes have no derivatives. */
 typedef enum { INPUT, FIXED, TUNABLE, OUTPUT, LOCAL, SAMPLE } Role;
 
 /* A variable of the model description. */
@@ -71,10 +71,10 @@ extern size_t variable_count;
 
 /* Reads the table that test_conformance.py writes from modelDescription.xml: reference, type, role, min, max, start, name. */
 void read_variables(const char *file);
-/* The variable of that name. */
+/* The variable with this name. */
 const Variable *variable(const char *name);
 
-/* Set and read by name; any status but fmi2OK ends the program. */
+/* Set and read by name; any status except fmi2OK ends the program. */
 void set(fmi2Component c, const char *name, double value);
 double get(fmi2Component c, const char *name);
 
@@ -94,17 +94,17 @@ extern const size_t scene_count;
 
 /* Initialises from 0 s with the values of a scene. */
 void start(fmi2Component c, const Scene *scene);
-/* The next step from `step` * size, with inputs that change, input derivatives and a tuned parameter on the way. */
+/* The next step from `step` * size, with changing inputs, input derivatives and a tuned parameter. */
 void drive(fmi2Component c, const Scene *scene, int step);
-/* The bits of every variable, mixed to one number. */
+/* Hash of the bits of every variable. */
 uint64_t fingerprint(fmi2Component c);
 
-/* Random numbers (splitmix64), the same everywhere. */
+/* Random numbers (splitmix64), equal on every platform. */
 extern uint64_t seed;
 uint64_t random_bits(void);
 /* From 0 to n - 1. */
 size_t below(size_t n);
-/* One time in n. */
+/* True one time in n. */
 bool one_in(size_t n);
 double uniform(double low, double high);
 

@@ -1,5 +1,5 @@
 /* `panic LIBRARY GUID VARIABLES`: on a test build whose fmi2CancelStep panics. The panic becomes fmi2Fatal with a line in the log; the
- * instance can only be freed; this process and the other instances go on. */
+ * instance can only be freed; this process and the other instances continue. */
 #include <stdio.h>
 #include <string.h>
 

@@ -1,11 +1,11 @@
 /* Calls allowed in each state: FMI 2.0.4, sections 3.2.3 and 4.2.4, figures and tables, typed in from there.
  *
- * The states stepInProgress and stepCanceled are left out (a step is never pending); so is the state error, which a unit that changes
- * nothing on an error never enters. */
+ * The states stepInProgress and stepCanceled are missing, because a step is never pending; so is the state error, because this unit changes
+ * nothing on an error and never enters it. */
 #ifndef RULES_H
 #define RULES_H
 
-/* The columns of the tables; two belong to another state for either kind. */
+/* The columns of the tables; the meaning of two depends on the kind of unit. */
 typedef enum {
     INSTANTIATED, INITIALIZATION, COMPLETE, FAILED, TERMINATED, STATES,
     EVENT = COMPLETE, CONTINUOUS = FAILED
@@ -28,9 +28,10 @@ typedef enum {
     GET_DERIVATIVES, GET_INDICATORS, GET_CONTINUOUS_STATES, GET_NOMINALS, CALLS
 } Call;
 
-/* By fmi2Type, a column for each state, in the order of State. x: allowed by the standard, possibly to debug only. +: not by the standard, but by
- * this unit, which says so in ARCHITECTURE.md: after a discarded step, which has been rolled back, another input or step may be tried at
- * once; and fmi2SetReal sets continuous states as well, which the table leaves to fmi2SetContinuousStates. -: must be refused. fmi2CancelStep belongs to a state that does not exist here. */
+/* By fmi2Type, a column for each state, in the order of State. x: allowed by the standard, possibly to debug only. +: allowed only by
+ * this unit (ARCHITECTURE.md): after a discarded step, which has been rolled back, another input or step may be tried at once; and
+ * fmi2SetReal also sets continuous states, for which the table has fmi2SetContinuousStates. -: must be refused. fmi2CancelStep belongs to
+ * a state that does not exist here. */
 static const struct {
     const char *name, *allowed[2];
 } rules[CALLS] = {

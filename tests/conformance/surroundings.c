@@ -1,7 +1,8 @@
 /* `surroundings LIBRARY GUID VARIABLES LOCALE`: loading, running, refusing and unloading leave the process as it was: floating-point
- * environment, locale, signal handlers, environment variables, working directory, open files; nothing is written to standard
- * output (nor to standard error, which whoever runs this program looks at). And they do not let it in: results have the same bits whatever the locale, and numbers in messages a decimal point; flush to
- * zero, other directions of rounding and traps for invalid operations are the master's, and stay; ordinary runs spring no trap. */
+ * environment, locale, signal handlers, environment variables, working directory, open files; nothing is written to standard output (nor to
+ * standard error, which the caller of this program checks). The process does not influence the library either: for any locale results have
+ * the same bits, and numbers in messages have a decimal point. Flush to zero, rounding directions and traps for invalid operations belong to
+ * the master and stay; ordinary runs cause no trap. */
 #include <fenv.h>
 #include <locale.h>
 #include <math.h>
@@ -36,7 +37,7 @@ static Surroundings look(void) {
     memset(&s, 0, sizeof s);
     s.rounding = fegetround();
     __asm__ volatile("fnstcw %0" : "=m"(s.x87_control));
-    /* Flags only gather; masks, rounding, flush to zero and denormals are zero are what a master sets. */
+    /* Flags may only be added; a master sets masks, rounding, flush to zero, and denormals are zero. */
     s.sse_control = _mm_getcsr() & ~FLAGS;
     snprintf(s.locale, sizeof s.locale, "%s %s", setlocale(LC_ALL, NULL), localeconv()->decimal_point);
     REQUIRE(getcwd(s.folder, sizeof s.folder), "no working directory");
@@ -63,7 +64,7 @@ static void judge(const Surroundings *before, const char *when) {
     REQUIRE(after.written == before->written, "%s: something was written to standard output", when);
 }
 
-/* A whole life, judged after every call; where it ends. */
+/* A whole life of an instance, checked after every call; returns its end. */
 static uint64_t life(const Scene *scene, const char *title) {
     Log log = {.name = "machine"};
     fmi2FMUstate state = NULL;
@@ -95,7 +96,7 @@ static uint64_t life(const Scene *scene, const char *title) {
     return end;
 }
 
-/* Under other directions of rounding results are other ones; close to these, or the mechanism would have come apart. */
+/* Other rounding directions change the results slightly; a large difference would mean that the mechanism has come apart. */
 static double tip(const Scene *scene, int rounding, unsigned sse_control) {
     Log log = {.name = "machine"};
     const int usual = fegetround();
@@ -122,7 +123,7 @@ int main(int count, char **arguments) {
     file = arguments[1], guid = arguments[2];
     read_variables(arguments[3]);
     feenableexcept(FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW);
-    /* Into a file, whose length tells whether anybody writes. */
+    /* Into a file: its length shows whether anything was written. */
     FILE *output = tmpfile();
     const int shown = dup(STDOUT_FILENO);
     REQUIRE(output && dup2(fileno(output), STDOUT_FILENO) >= 0, "standard output cannot be redirected");

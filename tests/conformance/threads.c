@@ -1,5 +1,5 @@
-/* `threads LIBRARY GUID VARIABLES THREADS STEPS`: every scene in a thread of its own, several at the same time, each with an instance of
- * its own; the bits after every step must be those of a run alone. */
+/* `threads LIBRARY GUID VARIABLES THREADS STEPS`: every scene in its own thread, several at the same time, each with its own instance;
+ * the bits after every step must equal a run alone. */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -13,7 +13,7 @@ static const char *guid;
 static int steps;
 static pthread_barrier_t all_ready;
 
-/* A run and what was seen at its communication points. */
+/* A run and the hash of its variables at each communication point. */
 typedef struct {
     const Scene *scene;
     bool in_company;
@@ -30,7 +30,7 @@ static void *run(void *argument) {
     for (int step = 0; step < steps; step++) {
         drive(c, r->scene, step);
         r->seen[step] = fingerprint(c);
-        /* Errors, states and their bytes in between, as a master may have them. */
+        /* Errors, states and their bytes in between, as in a real master. */
         if (step % 16 == 3) {
             fmi2FMUstate state = NULL;
             REQUIRE(fmi2.DoStep(c, -1.0, 1.0, fmi2True) == fmi2Error, "%s: a wrong point was accepted", r->scene->title);
@@ -59,7 +59,7 @@ int main(int count, char **arguments) {
         for (size_t other = 0; other < i; other++)
             REQUIRE(alone[i].seen[steps - 1] != alone[other].seen[steps - 1], "%s ends like %s", scenes[i].title, scenes[other].title);
     }
-    /* Each scene meets itself and others. */
+    /* Each scene runs beside itself and others. */
     pthread_barrier_init(&all_ready, NULL, (unsigned)threads);
     for (size_t first = 0; first < scene_count; first++) {
         pthread_t handles[MOST_THREADS];

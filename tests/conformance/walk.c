@@ -1,8 +1,8 @@
 /* `walk LIBRARY GUID VARIABLES CALLS SEED LARGEST`: a random walk over legal and illegal calls, with right and wrong arguments, over several
- * instances and stored states. The standard's table says for each call what may come of it; whatever is not carried out must leave the
- * instance as it was, byte for byte, with one sentence in the log. At the end every call must have been tried in every state.
+ * instances and stored states. The standard's table gives the allowed outcome of each call; a call that is not carried out must leave
+ * the instance unchanged, byte for byte, with one sentence in the log. At the end every call must have been tried in every state.
  *
- * LARGEST bounds values that are far from sensible, as a power of ten. */
+ * LARGEST bounds absurd values, as a power of ten. */
 #include "walk.h"
 
 #include <inttypes.h>
@@ -64,7 +64,7 @@ static void judge_sentence(const Slave *s, Call call, fmi2Status status, bool al
     }
 }
 
-/* Calls that must leave the instance as it is even where they are carried out. */
+/* Calls that must not change the instance even if they are carried out. */
 static bool only_looks(Call call) {
     switch (call) {
     case SET_DEBUG_LOGGING:
@@ -122,7 +122,7 @@ bool judge(Slave *s, Call call, fmi2Status status, int possible) {
     return done;
 }
 
-/* The call that leads on from the present state, most of the time. */
+/* The call that usually leads to the next state. */
 static Call onwards(Slave *s) {
     static const Call events[] = {NEW_DISCRETE_STATES, NEW_DISCRETE_STATES, ENTER_CONTINUOUS_TIME, SET_REAL, SET_TIME};
     static const Call steps[] = {SET_CONTINUOUS_STATES, SET_CONTINUOUS_STATES, GET_DERIVATIVES, COMPLETED_STEP, SET_TIME, ENTER_EVENT};
@@ -151,14 +151,14 @@ static void visit(Slave *s) {
         make(s, one_in(2) ? onwards(s) : (Call)below(CALLS));
 }
 
-/* Every call in every state; carried out at least once wherever it is allowed. */
+/* Every call in every state; carried out at least once in each state that allows it. */
 static void judge_coverage(void) {
     for (Call call = 0; call < CALLS; call++)
         for (int column = 0; column < 2 * STATES; column++) {
             const int kind = column / STATES, state = column % STATES;
             const bool answered = call == GET_STATUS || call == GET_INTEGER_STATUS || call == GET_STRING_STATUS;
             REQUIRE(seen[call][kind][state].tried > 0, "%s was never tried in %s", rules[call].name, state_names[kind][state]);
-            /* Three status functions have nothing to tell, ever. */
+            /* Three status functions never have a result. */
             REQUIRE(rules[call].allowed[kind][state] == '-' || answered || seen[call][kind][state].done > 0, "%s was never done in %s",
                     rules[call].name, state_names[kind][state]);
         }
@@ -177,7 +177,7 @@ int main(int count, char **arguments) {
     Slave *first = &slaves[0];
     while (calls < wanted) visit(&slaves[below(SLAVES)]);
 
-    /* Whoever is left frees the stored states. */
+    /* The remaining instances free the stored states. */
     while (!first->component) appear(first);
     for (size_t i = 0; i < STORED; i++) REQUIRE(fmi2.FreeFMUstate(first->component, &stored[i].state) == fmi2OK, "freeing");
     for (size_t i = 0; i < SLAVES; i++) disappear(&slaves[i]);

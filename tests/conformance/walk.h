@@ -1,4 +1,4 @@
-/* Knowledge of the random walk about an instance, and its judgement of a call. */
+/* The random walk's model of an instance, and its check of a call. */
 #ifndef WALK_H
 #define WALK_H
 
@@ -15,7 +15,7 @@ typedef struct {
     char bytes[MOST_BYTES];
 } Bytes;
 
-/* State of an instance in its life, as the standard has it. */
+/* Stage of the life of an instance, by the standard. */
 typedef struct {
     fmi2Type kind;
     State state;
@@ -23,7 +23,7 @@ typedef struct {
     double point, stop;
     /* A tunable parameter has been set since the last step: the next one may refuse it. */
     bool tuned;
-    /* Something larger than FAR has been set: steps may take seconds until they are given up, and few are made. */
+    /* A value larger than FAR has been set: steps may take seconds until they fail, so few are made. */
     bool far;
 } Life;
 
@@ -38,7 +38,7 @@ typedef struct {
     Bytes now;
 } Slave;
 
-/* A stored state, which belongs to the walk and not to an instance. */
+/* A stored state; the walk owns it, not an instance. */
 typedef struct {
     fmi2FMUstate state;
     Life life;
@@ -49,7 +49,7 @@ typedef struct {
 enum { DONE = 1 << fmi2OK, DISCARDED = 1 << fmi2Discard, REFUSED = 1 << fmi2Error };
 
 extern Stored stored[STORED];
-/* Those of a new instance, by fmi2Type. */
+/* Statuses allowed for a new instance, by fmi2Type. */
 extern Bytes fresh[2];
 extern const char *guid;
 extern double largest;
@@ -58,21 +58,21 @@ extern double largest;
 bool legal(const Slave *s, Call call);
 /* Before a call: forgets the log. */
 void begin(Slave *s);
-/* After it: fails unless the status is one of `possible` (of REFUSED where the state does not allow the call), the log has the line that
- * it must have, and nothing has changed where the call has not been carried out or only looks. True where it has been carried out. */
+/* After the call: fails unless the status is in `possible` (in REFUSED if the state does not allow the call), the log has the required line,
+ * and a call that was not carried out, or only reads, has changed nothing. True if the call was carried out. */
 bool judge(Slave *s, Call call, fmi2Status status, int possible);
 /* The bytes of the present state. */
 void serialize(Slave *s, Bytes *bytes);
 bool same(const Bytes *one, const Bytes *other);
 
-/* A call with arguments that chance chooses, right ones and wrong ones. */
+/* A call with random arguments, right and wrong ones. */
 void make(Slave *s, Call call);
-/* Puts an instance into an empty place, or tries to in a way that must be refused. */
+/* Instantiates into an empty place, or tries with arguments that must be refused. */
 void appear(Slave *s);
 /* Frees an instance. */
 void disappear(Slave *s);
 
-/* In initialization mode: makes a scene whose steps are discarded: one iteration is not enough for a tenth of a second. */
+/* In initialization mode: sets a scene with failing steps (one iteration is not enough for a tenth of a second). */
 void despair(Slave *s);
 
 /* Calls by kind; see their files. */
@@ -86,9 +86,9 @@ void do_step(Slave *s);
 void ask_status(Slave *s, Call call);
 void exchange(Slave *s, Call call);
 
-/* Statuses allowed when computed values are asked for. */
+/* Statuses allowed when computed values are read. */
 int may_be_computed(const Slave *s);
-/* Whether nothing but fmi2Discard for want of coordinates can keep a continuous state from being set by fmi2SetReal. */
+/* Whether fmi2SetReal may set continuous states; it then can only fail with fmi2Discard, if they are no coordinates. */
 bool may_set_states(const Slave *s);
 
 #endif

@@ -8,7 +8,7 @@
 enum { NX = 4, MOST_INDICATORS = 64 };
 static const double MARK = -7.25e77;
 
-/* Time, forward and back, past the end as well: whoever integrates may try any. */
+/* Time forward and back, also past the end: an integrator may try any time. */
 static void set_time(Slave *s) {
     const bool wrong = one_in(6);
     const double time = wrong ? (one_in(2) ? NAN : -INFINITY) : s->life.point + uniform(-0.01, 0.03);
@@ -72,7 +72,7 @@ static void set_states(Slave *s) {
 /* The functions that fill an array. */
 static void read_array(Slave *s, Call call) {
     double values[MOST_INDICATORS];
-    /* As the model description has it. */
+    /* As in the model description. */
     const size_t own = call == GET_INDICATORS ? 21 : NX, n = one_in(8) ? below(MOST_INDICATORS) : own;
     const bool nowhere = one_in(8);
     fmi2Status (*function)(fmi2Component, fmi2Real[], size_t) = call == GET_DERIVATIVES         ? fmi2.GetDerivatives

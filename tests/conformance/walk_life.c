@@ -112,7 +112,7 @@ static void change_mode(Slave *s, Call call) {
     static const State next[] = {[ENTER_INITIALIZATION] = INITIALIZATION, [EXIT_INITIALIZATION] = COMPLETE, [TERMINATE] = TERMINATED};
     int possible = DONE;
     if (call == ENTER_INITIALIZATION && !s->life.experiment) possible = REFUSED;
-    /* The values set may make no machine. */
+    /* The set values may give an impossible machine. */
     if (call == EXIT_INITIALIZATION) possible = DONE | REFUSED;
     begin(s);
     if (judge(s, call, function(s->component), possible)) {
@@ -129,7 +129,7 @@ static void reset(Slave *s) {
     }
 }
 
-/* The point that the status function tells. */
+/* The time from the status function. */
 static void judge_time(Slave *s) {
     double time = NAN;
     REQUIRE(fmi2.GetRealStatus(s->component, fmi2LastSuccessfulTime, &time) == fmi2OK && time == s->life.point,
@@ -144,7 +144,7 @@ static fmi2Status step_from(Slave *s, fmi2FMUstate from, double size, Bytes *byt
     return status;
 }
 
-/* After a discarded step the state is that before it: the next step, a short one, ends in the same bytes from either. */
+/* A discarded step leaves the state from before it: a short next step from either state gives the same bytes. */
 static void judge_rollback(Slave *s, fmi2FMUstate before, double size) {
     static Bytes from_here, from_before;
     fmi2FMUstate here = NULL;
@@ -165,7 +165,8 @@ void do_step(Slave *s) {
     }
     int possible = DONE | DISCARDED | (s->life.tuned ? REFUSED : 0);
     if (s->life.ends) {
-        /* Rounding is accepted at the end, as much as 1e-9 of the clock, but a hundredth of the step or the rounding of doubles there at most; close to that either answer is right. */
+        /* At the end, rounding is accepted: up to 1e-9 of the clock, but at most a hundredth of the step or the rounding of doubles there. Near this
+         * limit either answer is right. */
         const double excess = point + size - s->life.stop, last = fabs(s->life.stop);
         const double part = fmin(1e-9 * fmax(last, size), 0.01 * size), rounding = fmin(fmax(part, 4 * DBL_EPSILON * last), 0.5 * size);
         if (excess > 0.0) possible |= REFUSED;
@@ -197,7 +198,7 @@ void do_step(Slave *s) {
             s->life.point += size;
         }
     } else if (status == fmi2Discard && s->life.state == state && legal(s, DO_STEP)) {
-        /* Not where judge() has reset the instance since. */
+        /* Unless judge() has reset the instance since. */
         s->life.state = FAILED;
         judge_time(s);
         judge_rollback(s, before, size / 1024);
@@ -238,7 +239,7 @@ void ask_status(Slave *s, Call call) {
     judge(s, call, status, possible);
 }
 
-/* Calls for an instance that is none. */
+/* Calls with an invalid instance. */
 static void call_nobody(void) {
     double value = 0;
     const Variable *v = variable("tau[1]");

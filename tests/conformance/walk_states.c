@@ -1,4 +1,4 @@
-/* Calls of the random walk: stored states, which are kept while instances come and go. */
+/* Calls of the random walk: stored states, which outlive instances. */
 #include <string.h>
 
 #include "walk.h"
@@ -59,7 +59,7 @@ static void serialize_stored(Slave *s) {
     judge(s, SERIALIZE, status, possible);
 }
 
-/* The bytes of an instance or of a stored state, whole or spoilt, over an old state or into an empty place. */
+/* Restores the bytes of an instance or of a stored state, intact or damaged, over an old state or into an empty place. */
 static void deserialize(Slave *s) {
     static Bytes bytes;
     Stored *place = &stored[below(STORED)], *from = &stored[below(STORED)];

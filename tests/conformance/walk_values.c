@@ -5,7 +5,7 @@
 #include "walk.h"
 
 enum { MOST = 6 };
-/* Content of the places that must not be written to. */
+/* Content of places that must not be written. */
 static const double REAL_MARK = -7.25e77;
 static const int WHOLE_MARK = -7;
 
@@ -16,7 +16,7 @@ typedef struct {
     fmi2ValueReference references[MOST];
 } Pick;
 
-/* Fault of a call; NOTHING half of the time. */
+/* Fault of a call; NOTHING in half of the calls. */
 typedef enum { NOTHING, UNKNOWN, WRONG_TYPE, NO_REFERENCES, NO_VALUES, WRONG_VALUE, NOT_SETTABLE, FLAWS } Flaw;
 static Flaw any_flaw(Flaw last) { return one_in(2) ? NOTHING : (Flaw)below((size_t)last + 1); }
 
@@ -36,7 +36,7 @@ static bool settable(const Slave *s, const Variable *v) {
 
 static bool is_computed(const Variable *v) { return v->role == OUTPUT || v->role == LOCAL; }
 
-/* A variable of that type, to be set or not; NULL where there is none. */
+/* A variable of this type, settable or not; NULL if there is none. */
 static const Variable *any(const Slave *s, Type type, bool to_set) {
     for (int tries = 0; tries < 2000; tries++) {
         const Variable *v = &variables[below(variable_count)];
@@ -45,7 +45,7 @@ static const Variable *any(const Slave *s, Type type, bool to_set) {
     return NULL;
 }
 
-/* A few variables of that type; fewer where there are none. */
+/* A few variables of this type; none if the type has none. */
 static Pick pick(const Slave *s, Type type, bool to_set, size_t n) {
     Pick p = {0};
     while (p.n < n) {
@@ -57,7 +57,7 @@ static Pick pick(const Slave *s, Type type, bool to_set, size_t n) {
     return p;
 }
 
-/* Spoils the last reference; false where that cannot be done. */
+/* Damages the last reference; false if that is impossible. */
 static bool spoil(Pick *p, Type type, Flaw flaw) {
     if (flaw == NOTHING || flaw >= WRONG_VALUE) return true;
     if (p->n == 0) return false;
@@ -69,7 +69,7 @@ static bool spoil(Pick *p, Type type, Flaw flaw) {
 
 static bool finite_within(const Variable *v, double value) { return isfinite(value) && value >= v->min && value <= v->max; }
 
-/* A value that a variable may have: its start, something near it, seldom something far away. */
+/* An allowed value of a variable: its start, a value near it, rarely a far one. */
 static double allowed_value(const Variable *v) {
     if (v->type == BOOLEAN) return (double)below(2);
     if (v->role == SAMPLE && one_in(10)) return one_in(2) ? NAN : INFINITY;
@@ -82,7 +82,7 @@ static double allowed_value(const Variable *v) {
     return finite_within(v, value) ? value : v->start;
 }
 
-/* One that it must not have; NAN where every finite one is allowed. */
+/* A forbidden value; NAN if every finite value is allowed. */
 static double wrong_value(const Variable *v) {
     if (v->type == INTEGER) return one_in(2) ? v->min - 1 : v->max + 1;
     if (isfinite(v->min) && one_in(3)) return nextafter(v->min, -INFINITY);
@@ -90,14 +90,14 @@ static double wrong_value(const Variable *v) {
     return one_in(2) ? NAN : one_in(2) ? INFINITY : -INFINITY;
 }
 
-/* A continuous state not far from where it is, sometimes anywhere. */
+/* A continuous state near its present value, sometimes anywhere. */
 static double near_state(const Slave *s, const Variable *v) {
     const double value = get(s->component, v->name) + uniform(-0.1, 0.1);
     return one_in(10) ? uniform(-7.0, 7.0) : one_in(40) ? pow(10.0, uniform(0.0, fmin(largest, 12.0))) : value;
 }
 
-/* Statuses allowed when computed values are asked for: before the run, values may make no machine; values may be so large that there
- * is nothing to tell. */
+/* Statuses allowed when computed values are read: before the run, the values may give an impossible machine; values may be so large that
+ * no result is finite. */
 int may_be_computed(const Slave *s) {
     return DONE | (s->life.state == INITIALIZATION ? REFUSED : 0) | (largest > 100 ? DISCARDED : 0);
 }
@@ -195,7 +195,7 @@ void strings(Slave *s, Call call) {
     judge(s, call, status, n ? REFUSED : DONE);
 }
 
-/* A variable of that role and of type Real; where `state`, a continuous state as well. */
+/* A Real variable with this role; if `state`, also a continuous state. */
 static const Variable *real_of(Role role, bool state) {
     for (;;) {
         const Variable *v = &variables[below(variable_count)];
@@ -226,7 +226,7 @@ void differentiate(Slave *s) {
     judge(s, GET_DIRECTIONAL_DERIVATIVE, status, flaw == NOTHING ? may_be_computed(s) | REFUSED : REFUSED);
 }
 
-/* First and second derivatives: of inputs to be set, of outputs to be read. */
+/* First and second derivatives: set for inputs, read for outputs. */
 void derivatives(Slave *s, Call call) {
     static const char *const differentiable[] = {"theta[1]", "theta[2]", "tip.x", "tip.y"};
     const bool set = call == SET_INPUT_DERIVATIVES;

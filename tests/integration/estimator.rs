@@ -305,8 +305,8 @@ fn bands_are_honest() {
     assert!((1.5..5.4).contains(&nees), "NEES {nees}");
 }
 
-/// A start that is off, as far as `estimator.sigma0.theta` says, is corrected by the first samples where it is: a machine of light links that rests does not
-/// seem to turn faster than unknown torques of the scale turn it within the time between two samples, and both motors are found where they are, with their turns.
+/// A start with an error of `estimator.sigma0.theta` is corrected by the first samples in place. A light machine at rest does not seem to turn
+/// faster than unknown torques of the configured scale can turn it between two samples; both motors are found, with their whole turns.
 #[test]
 fn a_start_that_is_off_is_no_motion() {
     let mut random = ChaCha8Rng::seed_from_u64(5);
@@ -320,7 +320,7 @@ fn a_start_that_is_off_is_no_motion() {
         let own = &mut parameters.estimator;
         (own.sigma, own.quantum, own.torque_scale) = ([0.0; 2], [quantum; 2], 0.02);
         (own.sigma0_theta, own.sigma0_omega) = (0.1, 1.0);
-        // Away from direct singularities, where motors tell the posture.
+        // Away from direct singularities, so that the motors determine the posture.
         let theta = loop {
             parameters.start.theta = [0, 1].map(|_| std::f64::consts::TAU * uniform(&mut random));
             let posture = Simulation::new(&parameters, &default_inputs()).map(|there| motion(&there).0);

@@ -387,8 +387,8 @@ fn a_ramp_turns_a_single_leg_as_it_must() {
     let torque = |x: f64| Inputs { tau: [x, 0.0], ..default_inputs() };
     let (h, t) = (2e-3, 0.2);
     for &method in Method::LIST {
-        // In rad/s and rad: at this step the default method's own error of second order, the printed one's and that of the conserving one, a
-        // quarter at half the step; round-off of the others.
+        // Bounds, rad/s and rad: second-order errors at this step of the default, the printed and the conserving method (a quarter at half the
+        // step); round-off for the others.
         let (rate_error, angle_error) = match method {
             Method::I3alp => (5e-5, 5e-6),
             Method::I3alpPrinted => (1e-3, 5e-5),
@@ -421,8 +421,8 @@ fn bits(host: &Host) -> [u64; 7] {
     MOTION.map(|name| real(host, name).to_bits())
 }
 
-/// Equal motions: bit for bit, but for dense steps, which end at a change that is foreseen and are redone up to one that is not: equal
-/// steps, their lengths rounded differently.
+/// Equal motions, bit for bit except with dense steps: a dense step ends at a foreseen change, and is redone up to an unforeseen one, so that
+/// equal steps have differently rounded lengths.
 fn same_motion(host: &Host, other: &Host, method: Method) {
     if method.properties().steps != Steps::Dense {
         assert_eq!(bits(host), bits(other), "{method:?}");

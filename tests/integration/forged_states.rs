@@ -71,7 +71,7 @@ fn is_running(host: &Host) -> bool {
 ///
 /// Positions are closed to round-off, with a wide margin; angles of so many turns that their own round-off is larger are the caller's
 /// responsibility. The printed method stops at 1e-8 of some 0.9 m. A state is refused if its rates open the loop by 1e-5 of their largest
-/// term, some 10 m/s here, and by half of it for the printed method, in which projection by a finite penalty leaves a sixth of the velocity
+/// term, some 10 m/s here, and by half of it for the printed method: its projection by a finite penalty leaves a sixth of the velocity
 /// error.
 fn bounds(host: &Host) -> [f64; 2] {
     let (mut method, mut theta) = ([0], [0.0; 2]);

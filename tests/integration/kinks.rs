@@ -246,8 +246,8 @@ fn friction_that_holds_creeps_as_its_law_says() {
     assert!(state.core.counters.substeps < 1100, "{} sub-steps", state.core.counters.substeps);
 }
 
-/// Creep with a breakaway velocity of 1e-6 rad/s, to which it is proportional: 3.5814e-3 of it per second at 1e-3 and 1e-4 rad/s by this
-/// method. Without damping 160,000 sub-steps do not complete 30 ms.
+/// Creep is proportional to the breakaway velocity, here 1e-6 rad/s: 3.5814e-3 of it per second, as this method gives at 1e-3 and 1e-4 rad/s.
+/// Without damping 160,000 sub-steps do not complete 30 ms.
 #[test]
 fn stiff_friction_creeps_as_well() {
     let mut parameters = close_motors([2.2, 0.9], [0.0; 2]);

@@ -88,7 +88,7 @@ fn what_moves_with_the_tip_changes_no_rate() {
             let change = mass - simulation.parameters().effects.payload.mass;
             simulation.tune(&holding(&start, mass, join).effects).expect("allowed");
             let (is, after) = (observers::motion(simulation.model(), &simulation.state()), energies(&simulation));
-            // The step under way of the explicit method is made anew up to here: no longer interpolated, within its error.
+            // The current step of the explicit method is repeated up to here, so values are no longer interpolated: equal within its error.
             let same = if is_dense { 1e-7 } else { 0.0 };
             for (was, is) in was.theta.iter().chain(&was.omega).zip(is.theta.iter().chain(&is.omega)) {
                 assert!((was - is).abs() <= same, "{method:?}: {was:?} {is:?}");

@@ -165,7 +165,7 @@ fn the_step_is_of_order_8_and_its_interpolant_of_order_7() {
 }
 
 /// The other kinds, in polar coordinates. The error of one step is one order higher than the method. Between its ends an implicit step has
-/// the order of its published dense output, lower by one; the step of order 5 that of a quintic. Derivatives and work have one order less.
+/// the order of its published dense output, lower by one; the step of order 5 has the order of a quintic. Derivatives and work have one order less.
 #[test]
 fn every_kind_is_of_its_order() {
     const START: f64 = 0.7;

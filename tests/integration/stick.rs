@@ -525,7 +525,7 @@ fn a_tip_that_sticks_goes_through_the_stretched_arm() {
     }
 }
 
-/// Scenes around this one, each of which must complete.
+/// Scenes around this one; all must complete.
 #[test]
 fn tips_that_stick_go_through_the_stretched_arm() {
     let mut random = ChaCha8Rng::seed_from_u64(31);

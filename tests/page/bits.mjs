@@ -1,9 +1,9 @@
-// Runs every scene by every method for at most a second through the page's modules and library, and writes all that is computed.
+// Runs every scene by every method for at most a second with the page's modules and library, and writes all computed variables.
 //
 //     node bits.mjs SITE FOLDER
 //
-// FOLDER/SCENE-METHOD.real and .integer hold the values before the first step and after each millisecond, in the order of
-// FOLDER/variables.json; FOLDER/SCENE-METHOD.txt holds what the unit says where it refuses to go on.
+// FOLDER/SCENE-METHOD.real and .integer contain the values before the first step and after each millisecond, in the order of
+// FOLDER/variables.json; FOLDER/SCENE-METHOD.txt contains the unit's sentence if it refuses to continue.
 
 import { readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";

@@ -1,4 +1,4 @@
-// Holds the page's hand to what a person expects of it: the tip is at the pointer soon, does not swing about it, and stays.
+// Checks the page's hand: the tip soon reaches the pointer, does not swing about it, and stays there.
 //
 //     node hand.mjs SITE
 

@@ -1,4 +1,4 @@
-// Holds the page's singular loci against the unit: where a singularity is passed, the tip is on a locus of that kind.
+// Compares the page's singular loci with the unit: when a singularity is passed, the tip is on a locus of its kind.
 //
 //     node loci.mjs SITE
 
@@ -16,7 +16,7 @@ const { annuli, directLoci, geometry } = await module("loci.js");
 const description = JSON.parse(readFileSync(join(site, "unit.json")));
 const library = await Library.load(readFileSync(join(site, "fivebar.wasm")), description);
 
-// The plain machine, one with a narrow base, one whose links all differ.
+// The plain machine, a machine with a narrow base, and a machine with all links different.
 const MACHINES = [
   {},
   { "base.distance": 0.1, "init.theta[1]": 2.2, "init.theta[2]": 0.9 },
@@ -55,7 +55,7 @@ for (const values of MACHINES) {
     for (const kind in passes) {
       if (passes[kind] === before[kind]) continue;
       count[kind] += 1;
-      // Within the way of this millisecond, and what the chords of a locus are off.
+      // Tolerance: the path of this millisecond, and the error of the chords of a locus.
       const allowed = Math.hypot(to[0] - from[0], to[1] - from[1]) + 1e-4;
       const found = off[kind](to);
       if (!(found <= allowed)) throw new Error(`${kind} at ${i} ms of ${JSON.stringify(values)}: ${found} m off, ${allowed} m allowed`);

@@ -1,6 +1,6 @@
-/* A master in C for one library: `driver LIBRARY GUID ROUNDS SCRIPT...` carries out each script, ROUNDS times all of them in
- * one process, and loads the library before each script and unloads it after. Every line of a script is a call; numbers go in
- * and out as bits, so that text loses none:
+/* A master in C for one library: `driver LIBRARY GUID ROUNDS SCRIPT...` runs all scripts ROUNDS times in one process; it loads
+ * the library before each script and unloads it afterwards. Every line of a script is a call; numbers go in and out as bits, so
+ * that no digit is lost:
  *
  *   real REFERENCE BITS | integer REFERENCE NUMBER | boolean REFERENCE NUMBER      set a variable
  *   start STOPTIME                                                                 initialise from 0 to STOPTIME
@@ -9,8 +9,8 @@
  *   slopes KNOWN UNKNOWN...                                                        directional derivatives with respect to KNOWN
  *   store FILE | restore FILE                                                      the whole state, as bytes
  *
- * What is printed: a line for each status that is not fmi2OK, each message of the logger, each reading. The names are those
- * of the FMI 2.0 headers; only what is called is declared. */
+ * Output: a line for each status other than fmi2OK, each message of the logger, each reading. Names are as in the FMI 2.0
+ * headers; only the called functions are declared. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -119,7 +119,7 @@ static void report(const char *call, int status) {
     if (status != 0) printf("%s: status %d\n", call, status);
 }
 
-/* References from the rest of the line. */
+/* Reads references from the rest of the line. */
 static size_t references(const char *rest, unsigned *list) {
     size_t count = 0;
     int length;

@@ -1,7 +1,7 @@
-/* The five-bar in Cartesian coordinates, quadruple precision: a scene read, its forces, its accelerations. See midpoint.c.
+/* The five-bar in Cartesian coordinates and quadruple precision: reads a scene, computes forces and accelerations. See midpoint.c.
  *
- * Coordinates are x, y, angle of each link at its centre of mass, and x, y of the payload, which is a body of its own. Accelerations
- * come from M a - J^T l = Q, J a = c (index 1). The laws are those of src/effects/, written anew from their formulas.
+ * Coordinates are x, y, angle of each link at its centre of mass, and x, y of the payload, which is a separate body. Accelerations
+ * come from M a - J^T l = Q, J a = c (index 1). The laws of src/effects/ are implemented again from their formulas.
  */
 #include "machine.h"
 
@@ -77,7 +77,7 @@ void read_signals(void) {
     take_inputs();
 }
 
-/* The payload's body is there where it has a mass. */
+/* The payload's body exists if it has a mass. */
 static void carry(void) {
     mass[4] = on("payload") ? get("payload.mass") : 0;
     n = mass[4] > 0 ? 14 : 12;
@@ -148,7 +148,7 @@ static void arm(const real *q, int link, real along, real *rx, real *ry) {
     *ry = (along - com[link]) * sinq(q[TH(link)]);
 }
 
-/* Depth and its rate of each buffer: stops of motor 1 (lower, upper) and 2, contact. */
+/* Depth and its rate for each buffer: stops of motor 1 (lower, upper) and 2, contact. */
 static void depths(const real *q, const real *v, real depth[BUFFERS], real rate[BUFFERS]) {
     for (int i = 0; i < 2; i++) {
         int th = TH(i ? 3 : 0);
@@ -229,7 +229,7 @@ static void forces(const real *q, const real *v, real *f) {
 
 static real J[MAX_M][MAX_N], c[MAX_M];
 
-/* Adds a point of a link, with a sign, to constraint rows r and r + 1; c collects what centripetal acceleration leaves. */
+/* Adds a point of a link, with a sign, to constraint rows r and r + 1; c collects the centripetal accelerations. */
 static void point(const real *q, const real *v, int r, real sign, int link, real along) {
     real rx, ry, w = v[TH(link)];
     arm(q, link, along, &rx, &ry);
@@ -255,7 +255,7 @@ static void constraints(const real *q, const real *v) {
     }
 }
 
-/* f becomes M^-1 (f + J^T l) with the l for which J times that is b. */
+/* f becomes a = M^-1 (f + J^T l), with l such that J a = b. */
 static void respond(real *f, const real *b) {
     real w[MAX_N], A[MAX_M][MAX_M + 1];
     for (int i = 0; i < n; i++) w[i] = 1 / (i >= 12 ? mass[4] : i % 3 == 2 ? inertia[i / 3] : mass[i / 3]);
@@ -303,7 +303,7 @@ void join(real *y) {
     if (mass[4] == before) return;
     place(theta, omega, y);
     if (mass[4] < before || get("payload.join") != 1) return;
-    /* The payload's body is what was there, which moves with the tip, and what rests: J^T l makes them one. */
+    /* The payload's body joins the old mass, which moves with the tip, and the new mass at rest: J^T l unites them. */
     real *v = y + n;
     for (int k = 0; k < 12; k++) momentum[k] = (k % 3 == 2 ? inertia[k / 3] : mass[k / 3]) * v[k];
     for (int k = 12; k < 14; k++) momentum[k] = before * v[k];

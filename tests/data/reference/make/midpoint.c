@@ -2,12 +2,12 @@
  *
  * Usage: midpoint TENTHS TOLERANCE < scene      (make.py calls it; README.md says more)
  *
- * Reads lines "name value" (value a C99 hexadecimal float: the very double that the unit under test is given), the last of them
- * "signals COUNT", then COUNT such lines for each millisecond: the inputs that change, held over it. Writes rows
+ * Reads lines "name value" (value is a C99 hexadecimal float: the exact double that the tested unit gets). The last one is
+ * "signals COUNT"; COUNT such lines follow for each millisecond: the changing inputs, constant during it. Writes rows
  * t, tip x, y, angles and rates of links 1 to 4, every 0.1 s for TENTHS tenths of a second, in SI units.
  *
  * Method: Gragg's midpoint rule, extrapolated at a fixed order, with step control (Hairer, Norsett, Wanner, Solving ODEs I, II.9).
- * A step ends where a law changes its piece (stop, contact): within each step the integrand is analytic.
+ * A step ends at a change of the piece of a law (stop, contact), so that the integrand is analytic within each step.
  */
 #include "machine.h"
 
@@ -52,7 +52,7 @@ static real step(const real *y, real h, real *out) {
     return error;
 }
 
-/* A switch other than `except` that is on another side at y than its piece says, or -1. */
+/* A switch other than `except` on the wrong side at y for its piece, or -1. */
 static int crossed(const real *y, int except) {
     real g[SWITCHES];
     switches(y, g);
@@ -68,7 +68,7 @@ static real switch_after(const real *y, real h, int i, real *out) {
     return g[i];
 }
 
-/* The step to where switch i, crossed within h, is zero, by the Illinois form of regula falsi; leaves the state there in out. */
+/* The step to the zero of switch i, which is crossed within h, by the Illinois form of regula falsi; writes the state there to out. */
 static real to_zero(const real *y, real h, int i, real *out) {
     real g[SWITCHES], low = 0, high = h, at_low, at_high = switch_after(y, h, i, out), middle = h;
     switches(y, g);
@@ -76,7 +76,7 @@ static real to_zero(const real *y, real h, int i, real *out) {
     for (int side = 0, turns = 0; turns < 100; turns++) {
         middle = (low * at_high - high * at_low) / (at_high - at_low);
         real value = switch_after(y, middle, i, out);
-        if (fabsq(value) < 1e-28Q) break; /* above round-off of the stiffest switch, below the agreement wanted */
+        if (fabsq(value) < 1e-28Q) break; /* above the round-off of the stiffest switch, below the required agreement */
         if ((value > 0) == (at_high > 0)) {
             high = middle, at_high = value;
             if (side == 1) at_low /= 2;
@@ -90,7 +90,7 @@ static real to_zero(const real *y, real h, int i, real *out) {
     return middle;
 }
 
-/* The step to the first crossing within h, whose switch is turned: on the point itself its sign would be round-off. */
+/* The step to the first crossing within h; flips its switch, because its sign at the crossing is round-off. */
 static real to_crossing(const real *y, real h, real *out) {
     int first = -1;
     for (int i; (i = crossed(out, first)) >= 0; first = i) h = to_zero(y, h, i, out);
@@ -98,10 +98,10 @@ static real to_crossing(const real *y, real h, real *out) {
     return h;
 }
 
-/* Advances y by exactly `duration`, inputs held. */
+/* Advances y by exactly `duration` with constant inputs. */
 static void advance(real *y, real duration) {
     static real h = 1e-5Q;
-    /* A saturated servo is constant to the last digit: longer steps would pass over the instant at which it turns. */
+    /* A saturated servo is constant to the last digit: longer steps would pass over the time at which it changes. */
     const real longest = servo ? 2e-4Q : 2e-3Q;
     static long steps;
     real t = 0, out[SIZE];
@@ -140,7 +140,7 @@ static void print(int tenths, const real *y) {
 
 /* The passive angles and rates that close the loop; the tip is to the left (assembly +1) or right of the arrow between the elbows.
  * With both distal links in one line (a direct singularity), where paper scenes start, the tip is on the arrow to the last digit: the
- * difference of squares is written as a product. There is a start at rest only, for the rates divide by det. */
+ * difference of squares is written as a product. Such a start must be at rest, because rates are divided by det. */
 static void start(real *y) {
     real theta[LINKS] = { theta_start[0], 0, 0, theta_start[1] }, omega[LINKS] = { omega_start[0], 0, 0, omega_start[1] };
     real ax = length[0] * cosq(theta[0]), ay = length[0] * sinq(theta[0]);
@@ -175,7 +175,7 @@ int main(int argc, char **argv) {
     switches(y, g);
     for (int i = 0; i < SWITCHES; i++) piece[i] = g[i] > 0;
     print(0, y);
-    int holds = signals > 0 ? 100 : 1; /* in a tenth of a second: inputs that change are held for 1 ms */
+    int holds = signals > 0 ? 100 : 1; /* pieces of a tenth of a second: changing inputs are constant for 1 ms */
     for (int i = 1; i <= tenths; i++) {
         for (int k = 0; k < holds; k++) {
             read_signals();

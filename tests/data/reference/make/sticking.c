@@ -1,10 +1,11 @@
-/* A reference trajectory of the five-bar with dry friction that sticks: link angles, extrapolated midpoint rule, quadruple precision.
+/* A reference trajectory of the five-bar with sticking friction: link angles, extrapolated midpoint rule, quadruple precision.
  *
- * Usage: sticking TENTHS TOLERANCE < scene      (make.py calls it; README.md says more; input and output are those of midpoint.c)
+ * Usage: sticking TENTHS TOLERANCE < scene      (make.py calls it; README.md says more; input and output as in midpoint.c)
  *
- * Friction is set-valued: what slips has its torque or force against the motion, what is held a multiplier that keeps its rate 0, up to
- * its bound. A step ends where a rate, a multiplier at its bound, or a border of the contact's law is met; there all that the laws allow
- * is tried, and what they confirm goes on. Knows gravity, viscous and dry friction, rotors, payload, servos and contact.
+ * Friction is set-valued: a slipping place has a torque or force against the motion; a sticking place has a multiplier that keeps its rate
+ * 0, up to its bound. A step ends at a zero rate, at a multiplier's bound, or at a border of the contact law. There the program tries all
+ * states that the laws allow, and continues with the confirmed one. Supports gravity, viscous and dry friction, rotors, payload, servos and
+ * contact.
  */
 #include <quadmath.h>
 #include <stdbool.h>
@@ -122,11 +123,11 @@ static void read_scene(void) {
 
 static const int first_of[5] = {0, 1, 1, 2, 3}, second_of[5] = {-1, 0, 2, 3, -1};
 
-/* State of each friction place: 0 open, +1 or -1 slip that way, HELD. */
+/* State of each friction place: 0: open, +1 or -1: slipping in this direction, HELD: sticking. */
 enum { HELD = 2 };
 static int grip[GRIPS];
 
-/* Phase of the tip: free, on the ramp, beyond it, or on either letting go. */
+/* Phase of the tip: free, on the ramp, beyond it, or separating from either. */
 enum { FREE, RAMP, FULL, RAMP_OFF, FULL_OFF };
 static int place = FREE;
 
@@ -141,7 +142,7 @@ static void tip_of(const real *y, real p[2], real v[2]) {
     }
 }
 
-/* Depth, its rate and what the plane would push with where nothing lets go, by the piece of its law. */
+/* Depth, its rate, and the push of the plane without separation, by the piece of its law. */
 static void press(const real *y, real out[3]) {
     real p[2], v[2];
     tip_of(y, p, v);
@@ -158,7 +159,7 @@ static real pressure(const real *y) {
     return u * u * u * (10 - 15 * u + 6 * u * u) * at[2];
 }
 
-/* A grip as a row over the rates: its rate, and what its acceleration has beside row . a. */
+/* A grip as a row over the rates: its rate, and its acceleration minus row . a. */
 static void row_of(int g, const real *y, real row[LINKS], real *rate, real *drift) {
     memset(row, 0, sizeof(real) * LINKS);
     *rate = *drift = 0;
@@ -182,7 +183,7 @@ static real bound(int g, const real *y, real rate) {
     return dry[g] + (rest[g] - dry[g]) * expq(-u * u);
 }
 
-/* Accelerations, and the torques and the force of what is held. */
+/* Accelerations, and the torques and the force of sticking places. */
 static void accelerate(const real *y, real a[LINKS], real held[GRIPS]) {
     real m[12][13];
     int size = 6, who[GRIPS], holders = 0;
@@ -293,7 +294,7 @@ static real step(const real *y, real h, real *out) {
     return error;
 }
 
-/* Everything that ends a step when it falls below 0; HUGE_VALQ where there is nothing. */
+/* Margins: a step ends when one falls below 0; HUGE_VALQ if there is none. */
 static void margins(const real *y, real g[EVENTS]) {
     real a[LINKS], held[GRIPS], at[3];
     accelerate(y, a, held);
@@ -312,7 +313,7 @@ static void margins(const real *y, real g[EVENTS]) {
     if (place != FREE && damping > 0) g[GRIPS + 2] = place == RAMP || place == FULL ? at[2] : -at[2];
 }
 
-/* The index of the least margin of those below 0, each in its own unit; -1 where all hold. */
+/* Index of the least margin below 0, each in its own unit; -1 if there is none. */
 static int crossed(const real *y, real *value) {
     real g[EVENTS];
     int least = -1;
@@ -328,7 +329,7 @@ static int crossed(const real *y, real *value) {
 
 static bool resting;
 
-/* At this state, with these grips at rate 0: everything that the laws allow for them is tried, and what they confirm stays. */
+/* At this state, with these grips at rate 0: tries all states that the laws allow and keeps the confirmed one. */
 static bool agree(const real *y, const int zero[], int count, int holds) {
     int most = 1;
     for (int i = 0; i < count; i++) most *= 3;
@@ -386,7 +387,7 @@ static void decide(real *y) {
         memcpy(y + 4, before, sizeof before);
     }
     if (count) agree(y, zero, count, 1);
-    for (int g = 0; g < GRIPS; g++) { /* what is held is at rest, to the last digit */
+    for (int g = 0; g < GRIPS; g++) { /* sticking places are exactly at rest */
         if (grip[g] != HELD) continue;
         real row[LINKS], rate, drift, square = 0;
         row_of(g, y, row, &rate, &drift);
