@@ -27,7 +27,7 @@ impl Unique {
     fn within<E: Error>(self) -> Result<Self, E> {
         match self.left.checked_sub(1) {
             Some(left) => Ok(Self { left }),
-            None => Err(E::custom(format_args!("more than {MOST_BRACKETS} brackets stand in each other"))),
+            None => Err(E::custom(format_args!("more than {MOST_BRACKETS} brackets are nested"))),
         }
     }
 }

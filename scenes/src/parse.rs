@@ -61,7 +61,7 @@ impl Scene {
     fn check_signals(&self) -> Result<()> {
         let mut set = self.overlays.iter().map(|overlay| &overlay.values).chain([&self.values]).flatten();
         match set.find(|(variable, _)| self.signals.iter().any(|signal| signal.variable.reference == variable.reference)) {
-            Some((variable, _)) => bail!("'{}' is given a signal and a value, but only one of them can hold", variable.name.full),
+            Some((variable, _)) => bail!("'{}' has a signal and a value, but only one of them is allowed", variable.name.full),
             None => Ok(()),
         }
     }

@@ -223,13 +223,13 @@ fn errors_are_named() {
         ),
         (
             json!({ "tau[1]": [[[[[[[[1]]]]]]]] }),
-            &["it is not valid JSON: more than 8 brackets stand in each other at line 1 column"],
+            &["it is not valid JSON: more than 8 brackets are nested at line 1 column"],
         ),
         (signals(json!({ "servo.omega[1]": { "rateOf": 3 } })), &["'rateOf' must name", "not 3"]),
-        (json!({ "tau[2]": 1, "signals": { "tau[2]": { "linear": knots } } }), &["'tau[2]' is given a signal and a value"]),
+        (json!({ "tau[2]": 1, "signals": { "tau[2]": { "linear": knots } } }), &["'tau[2]' has a signal and a value"]),
         (
             json!({ "overlay": [{ "label": "a", "tau[2]": 1 }], "signals": { "tau[2]": { "linear": knots } } }),
-            &["'tau[2]' is given a signal and a value"],
+            &["'tau[2]' has a signal and a value"],
         ),
     ] {
         let sentence = format!("{:#}", parse(content.clone()).expect_err(&content.to_string()));
@@ -244,7 +244,7 @@ fn other_content_than_scenes_is_named() {
     assert_eq!(refusal("{}"), "it has no text 'description'");
     assert_eq!(refusal(r#"{"tau[1]": }"#), "it is not valid JSON: expected value at line 1 column 12");
     let deep = format!(r#"{{"signals": {}}}"#, "[".repeat(200_000));
-    assert_eq!(refusal(&deep), "it is not valid JSON: more than 8 brackets stand in each other at line 1 column 20");
+    assert_eq!(refusal(&deep), "it is not valid JSON: more than 8 brackets are nested at line 1 column 20");
     assert_eq!(refusal(r#"{"tau[1]": NaN}"#), "it is not valid JSON: expected value at line 1 column 12");
     assert_eq!(refusal(r#"{"tau[1]": 1, "tau[1]": 2}"#), "it is not valid JSON: 'tau[1]' is given twice at line 1 column 26");
     let missing = format!("{:#}", Scene::read("no_such_scene").expect_err("there is none"));

@@ -153,11 +153,11 @@ impl Instance {
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), CallError> {
         let (own, other) = (self.now.kind, snapshot.kind);
         if own != other {
-            return Err(CallError::error(format!("FMUstate is that of an instance for {other}, this one is for {own}.")));
+            return Err(CallError::error(format!("FMUstate belongs to an instance for {other}, this one is for {own}.")));
         }
         if self.now.guid != snapshot.guid {
             let [own, other] = [&self.now.guid, &snapshot.guid].map(|guid| String::from_utf8_lossy(guid));
-            return Err(CallError::error(format!("FMUstate is that of another unit with the GUID {other}, this one has {own}.")));
+            return Err(CallError::error(format!("FMUstate belongs to another unit, with the GUID {other}; this unit has {own}.")));
         }
         self.change().clone_from(snapshot);
         self.prepare_to_go_back();

@@ -154,7 +154,7 @@ fn apart<T>(work: impl FnOnce() -> T) -> T {
 /// Error of a step from `point`, s, by `size`, s, that the integrator could not take.
 fn discarded(StepFailure { elapsed, cause }: StepFailure, point: f64, size: f64) -> CallError {
     CallError::discard(format!(
-        "the step from {point:?} s by {size:?} s failed at {:?} s: {cause}; the state is still that of {point:?} s.",
+        "the step from {point:?} s by {size:?} s failed at {:?} s: {cause}; the state at {point:?} s is unchanged.",
         point + elapsed
     ))
 }

@@ -129,11 +129,11 @@ impl Snapshot {
                         let following = boxed(|| Following::restored(&parameters, run, estimate));
                         Some(Scene::Following(following.map_err(refusal)?))
                     }
-                    (false, Some(_)) => return Err(not_a_state("they hold an estimate, but estimator.enabled is false")),
+                    (false, Some(_)) => return Err(not_a_state("they contain an estimate, but estimator.enabled is false")),
                     (true, None) => return Err(not_a_state("estimator.enabled is true, but the estimate is missing")),
                 }
             }
-            _ => return Err(not_a_state(&format!("their state is \"{stage}\", but they hold data of another state"))),
+            _ => return Err(not_a_state(&format!("their state is \"{stage}\", but they contain data of another state"))),
         };
         if clock.is_none() && stage != Stage::Instantiated {
             return Err(not_a_state(&format!("their state is \"{stage}\", but the clock is missing")));
@@ -152,7 +152,7 @@ fn content<'a>(of: &Guid, bytes: &'a [u8]) -> Result<&'a [u8], CallError> {
     let mut rest = bytes;
     let head = Head::deserialize(&mut rest).ok();
     let (Some(Head { magic, format, guid, length }), Some((content, checksum))) = (head, rest.split_last_chunk()) else {
-        return Err(not_a_state(&format!("there are {}, fewer than those of head and checksum", bytes.len())));
+        return Err(not_a_state(&format!("there are {}, fewer than head and checksum have", bytes.len())));
     };
     if magic != MAGIC {
         return Err(not_a_state("they do not begin with FiveBar"));

@@ -57,7 +57,7 @@ impl Following {
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         if !parameters.estimator.enabled {
             return Err(SceneError(
-                "estimator.enabled = false is not allowed where a machine is followed: it must be true.".into(),
+                "estimator.enabled = false is not allowed if a machine is followed: it must be true.".into(),
             ));
         }
         parameters.estimator.check(parameters.settings.step_size)?;

@@ -204,7 +204,7 @@ fn kinds_do_not_mix() {
     let (host, stepped) = (integrated(&[BENT]), Host::ready(&[BENT]));
     let mut stored = stepped.state();
     assert_eq!(host.set_state(stored), fmi2Error);
-    assert_eq!(host.line(), "fmi2SetFMUstate: FMUstate is that of an instance for co-simulation, this one is for model exchange.");
+    assert_eq!(host.line(), "fmi2SetFMUstate: FMUstate belongs to an instance for co-simulation, this one is for model exchange.");
     assert_eq!(host.free_state(&mut stored), fmi2OK);
     assert_eq!(host.do_step(0.0, 1e-3), fmi2Error);
     assert_eq!(host.line(), "fmi2DoStep: the instance is for model exchange, which does not have this function.");

@@ -237,7 +237,7 @@ fn forged_bytes_are_never_fatal() {
                 }
                 if other.set_state(state) == fmi2Error {
                     // Forged into a state of the other kind.
-                    assert!(other.line().contains(": FMUstate is that of an instance for model exchange"));
+                    assert!(other.line().contains(": FMUstate belongs to an instance for model exchange"));
                     continue;
                 }
                 let mut place = [0.0];

@@ -118,7 +118,7 @@ fn a_step_that_cannot_be_done_is_discarded_and_leaves_everything_as_it_was() {
     assert_eq!((lines[0].status, lines[0].category.as_str()), (fmi2Discard, "logStatusDiscard"));
     let text = &lines[0].text;
     assert!(text.starts_with("fmi2DoStep: the step from 0.0 s by 0.2 s failed at 0.0 s: "), "{text}");
-    assert!(text.ends_with("; the state is still that of 0.0 s."), "{text}");
+    assert!(text.ends_with("; the state at 0.0 s is unchanged."), "{text}");
 
     assert_eq!(host.real_status(LAST_SUCCESSFUL_TIME), (fmi2OK, 0.0));
     assert_eq!(host.boolean_status(TERMINATED), (fmi2OK, fmi2False));

@@ -110,7 +110,7 @@ fn judge(forged: &[u8]) -> Result<bool, String> {
     if status == fmi2OK && set == fmi2Error && host.free_state(&mut state) == fmi2OK {
         // The state of another kind of instance.
         let line = host.line();
-        return if line.contains(": FMUstate is that of an instance for ") {
+        return if line.contains(": FMUstate belongs to an instance for ") {
             Ok(true)
         } else {
             Err(format!("refused by \"{line}\""))

@@ -77,7 +77,7 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
         (["run", "swing", "--set", "tip.x=1"], "fivebar run: 'tip.x' is computed by the FMU and cannot be set"),
         (["run", "swing", "--set", "init.theta[1]=3.2", "--set", "init.theta[2]=0"], "fivebar run: "),
         (["run", "swing", "--fmu", "none.fmu"], "fivebar run: there is no .fmu at none.fmu"),
-        (["ensemble", "--vary", "foo=1"], "fivebar ensemble: foo cannot be varied: foo is no parameter of the machine; "),
+        (["ensemble", "--vary", "foo=1"], "fivebar ensemble: foo cannot be varied: foo is not a parameter of the machine; "),
         (["run", "swing", "--out", "/proc/nowhere"], "fivebar run: out is /proc/nowhere; a folder that exists or can be made is needed: "),
         (["replay", "none"], "fivebar replay: there is no record at none"),
         (["calibrate"], "fivebar calibrate: a FILE is needed"),
@@ -153,8 +153,8 @@ def test_a_scene_may_have_a_byte_order_mark(encoding: str, here: Path, capsys: p
             "'experiment.stopTime' must be a positive number of seconds, not 0",
         ),
         ("resolved", '{"name": "a", "description": "a", "variants": []}', "there is no variable 'name'"),
-        (".", '{"description": "a"}', "a scene is called as its file, whose name has dots only"),
-        (" . ", '{"description": "a"}', "a scene is called as its file, whose name has dots only"),
+        (".", '{"description": "a"}', "a scene has the name of its file, which must not consist of dots only"),
+        (" . ", '{"description": "a"}', "a scene has the name of its file, which must not consist of dots only"),
     ],
 )
 def test_odd_files_are_refused(

@@ -449,7 +449,7 @@ def test_a_guess_needs_both_encoders(tmp_path: Path, capsys: pytest.CaptureFixtu
     ("content", "sentence"),
     [
         ("[]", "a map must be an object of variables and their columns"),
-        ('{"theta[3]": {}}', "'theta[3]' is no variable of a recording; did you mean"),
+        ('{"theta[3]": {}}', "'theta[3]' is not a variable of a recording; did you mean"),
         ('{"tau[1]": {"column": "i"}}', "it has neither measured.theta[1] nor measured.theta[2]"),
         ('{"measured.theta[1]": "q"}', "'measured.theta[1]' must be an object such as {\"column\": \"q1\"}, not \"q\""),
         ('{"measured.theta[1]": {}}', "'measured.theta[1].column' must be the name of a column, or its number from 1 on, not null"),
@@ -492,13 +492,13 @@ def test_unreadable_recordings_are_refused(tmp_path: Path, capsys: pytest.Captur
     pq.write_table(pa.table({name: ["x"] for name in ("topic", "time", "seq", "payload")}), tmp_path / "r.parquet")
     q = {"t1": {"column": "q"}}
     asked: list[tuple[Path, dict[str, Any] | None, str]] = [
-        (file, None, "has no column measured.theta[1] or measured.theta[2], and no --map says which they are; its columns are time, q, r"),
+        (file, None, "has no column measured.theta[1] or measured.theta[2]; without --map these names are needed, and its columns are time, q, r"),
         (bag, None, "its columns are /j/l/position"),
         (file, {"t1": {"column": "p"}}, "has no column p; its columns are time, q, r"),
         (file, {"t1": {"column": "q", "unit": "rad"}}, "'measured.theta[1].unit' is 'rad', but the head of the table says that q is in deg"),
         (file, {"t1": {"column": "r"}}, "r is in inch; rad, mrad, deg, turns is allowed for measured.theta[1]"),
         (bag, {"t1": {"column": "/j/m/position"}}, "has no column /j/m/position; its columns are /j/l/position"),
-        (tmp_path / "b.db3", q, "is no bag of ROS that can be read"),
+        (tmp_path / "b.db3", q, "cannot be read as a ROS bag"),
         (tmp_path / "none.db3", q, "none.db3: it cannot be read: No such file or directory"),
         (tmp_path / "none.csv", q, "none.csv: it cannot be read: No such file or directory"),
         (tmp_path, q, "is a folder: a table, or a bag of ROS with its metadata.yaml, is expected"),

@@ -51,7 +51,7 @@ def test_other_start_values_go_to_all_runs_but_where_they_have_their_own() -> No
         {"tau[1]": 1.0, "tau[2]": 1.0, "gravity.g": 5.0, "solver.method": METHODS["automatic"]},
     )
     assert overlay.values == {"tau[1]": 1.0, "tau[2]": 1.0, "gravity.g": 3.0, "solver.method": METHODS["rk4"]}
-    with pytest.raises(FiveBarError, match="'tip.fx' is given a signal and a value"):
+    with pytest.raises(FiveBarError, match="'tip.fx' has a signal and a value"):
         replace(made, signals={"tip.fx": np.zeros(3)}).replace({"tip.fx": 1.0})
 
 

@@ -64,12 +64,12 @@ def test_a_cell_without_a_finite_number_is_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        ("time,tau[1],tau[1]\n0,1,2\n", "it has 2 columns tau[1]; each name may stand in the head once"),
-        ("time,tau[1],tau[1] [N.m]\n0,1,2\n", "it has 2 columns tau[1]; each name may stand in the head once"),
-        ("time,note,note\n0,1,2\n", "it has 2 columns note; each name may stand in the head once"),
-        ("time,tau[1]\n0,1\n1,x\n", "tau[1] in row 2 is 'x', which is no number"),
-        ("time;tau[1]\n0;1.000,5\n", "tau[1] in row 1 is '1.000,5', which is no number"),
-        ("time,tau[1]\n0,1\n12:03,1\n", "time in row 2 is '12:03', which is no number"),
+        ("time,tau[1],tau[1]\n0,1,2\n", "it has 2 columns tau[1]; each name must be unique"),
+        ("time,tau[1],tau[1] [N.m]\n0,1,2\n", "it has 2 columns tau[1]; each name must be unique"),
+        ("time,note,note\n0,1,2\n", "it has 2 columns note; each name must be unique"),
+        ("time,tau[1]\n0,1\n1,x\n", "tau[1] in row 2 is 'x', which is not a number"),
+        ("time;tau[1]\n0;1.000,5\n", "tau[1] in row 1 is '1.000,5', which is not a number"),
+        ("time,tau[1]\n0,1\n12:03,1\n", "time in row 2 is '12:03', which is not a number"),
         ("time,tau[1]\n0,5,1,5\n", "row 1 has 4 cells, and the head 2; a decimal comma needs semicolons or tabs"),
         ("time,tau[1]\n0,5\n1\n", "row 2 has 1 cells, and the head 2"),
         ('time,tau[1]\n0,"5\n', "it is no CSV: unexpected end of data"),

@@ -200,7 +200,7 @@ def line(x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:
         ),
         (
             {"signals": LINE, "overlay": [{"label": "other", "servo.theta[1]": 1}]},
-            "'servo.theta[1]' is given a signal and a value",
+            "'servo.theta[1]' has a signal and a value",
         ),
         (
             {"signals": {"tip.x": {"rateOf": "tip.y"}, "tip.y": LINE["tip.y"]}},

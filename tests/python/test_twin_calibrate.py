@@ -853,7 +853,7 @@ def test_the_command_that_is_printed_runs_the_same_unit(
 @pytest.mark.parametrize(
     ("names", "sentence"),
     [
-        (["link[5].mass"], "link[5].mass is no parameter of the machine"),
+        (["link[5].mass"], "link[5].mass is not a parameter of the machine"),
         (["solver.stepSize"], "cannot be sought"),
         (["link.mass", "link[1].mass"], "link[1].mass is sought twice"),
     ],

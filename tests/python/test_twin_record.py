@@ -293,7 +293,7 @@ def test_a_csv_is_played(tmp_path: Path) -> None:
     assert (first.time, first.seq, first.fields) == (10**18, 0, {"measured.theta[1]": 1.5, "measured.theta[2]": 1.6})
     assert (second.time - first.time, second.fields) == (5_000_000, {"measured.theta[1]": 1.51})
     file.write_text("time,measured.theta[1]\n1,x\n")
-    with pytest.raises(TwinError, match=r"measured.theta\[1\] in row 1 is 'x', which is no number"):
+    with pytest.raises(TwinError, match=r"measured.theta\[1\] in row 1 is 'x', which is not a number"):
         Player(Config(str(tmp_path), "", "", machine=Machine(csv=str(file))))
 
 

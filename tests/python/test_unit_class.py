@@ -154,7 +154,7 @@ def test_a_start_that_is_refused_can_be_mended() -> None:
 def test_a_step_that_cannot_be_done_leaves_the_unit_as_it_was() -> None:
     with Unit(**HOPELESS) as unit:
         before = bits(unit)
-        with pytest.raises(StepFailed, match="the state is still that of 0.0 s") as failed:
+        with pytest.raises(StepFailed, match="the state at 0.0 s is unchanged") as failed:
             unit.step(1e-3)
         assert isinstance(failed.value, FiveBarError) and failed.value.result is None
         assert bits(unit) == before and unit.time == 0.0

@@ -509,7 +509,7 @@ class Unit(Instance):
         numbers = self._elements(rates)
         for name in numbers:
             if (found := self.library.known[name]).type != "Real" or found.causality != "input":
-                raise FiveBarError(f"'{name}' is no Real input: only these have rates")
+                raise FiveBarError(f"'{name}' is not a Real input: only Real inputs have rates")
         for block in self.library.blocks(tuple(numbers)):
             self.write_rates(block, numbers.values())
 

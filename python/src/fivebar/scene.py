@@ -256,7 +256,7 @@ class Scene:
         """The parameter or input with this name."""
         if name.replace("_", "").lower() in (key.lower() for key in scene_file.SECONDS):
             raise FiveBarError(
-                f"{name!r} is no variable: stop_time and step_size, s, are arguments of their own, and stopTime and stepSize stand in the key "
+                f"{name!r} is not a variable: use the arguments stop_time and step_size, s, or in a scene's file stopTime and stepSize in the key "
                 f"'{scene_file.EXPERIMENT}' of a scene's file"
             )
         return self.variables.settable(name)
@@ -363,7 +363,7 @@ def of_file(file: Path, variables: Variables | None = None) -> Scene:
     """The scene in a file; the file's name is the scene's name."""
     try:
         if not file.stem.strip(". "):
-            raise FiveBarError("a scene is called as its file, whose name has dots only")
+            raise FiveBarError("a scene has the name of its file, which must not consist of dots only")
         return parse(file.stem, scene_file.text(file), variables)
     except FiveBarError as error:
         raise FiveBarError(f"{file}: {error}{'' if file.exists() else _meant(file)}") from None

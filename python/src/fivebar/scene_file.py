@@ -82,9 +82,9 @@ def parse(text: str) -> Any:
         _check_brackets(content, MOST_BRACKETS)
         json.dumps(content, ensure_ascii=False).encode()
     except RecursionError:
-        raise FiveBarError(f"it is not valid JSON: more than {MOST_BRACKETS} brackets stand in each other") from None
+        raise FiveBarError(f"it is not valid JSON: more than {MOST_BRACKETS} brackets are nested") from None
     except UnicodeEncodeError:
-        raise FiveBarError("it is not valid JSON: half of a character stands in a text") from None
+        raise FiveBarError("it is not valid JSON: a text contains half of a character") from None
     except FiveBarError:
         raise
     except ValueError as error:
@@ -111,7 +111,7 @@ def check_signals(runs: list[Values], signalled: Iterable[str]) -> None:
     """Refuses a signal and a value of the same variable."""
     for name in [name for values in (*runs[1:], runs[0]) for name in values]:
         if name in signalled:
-            raise FiveBarError(f"'{name}' is given a signal and a value, but only one of them can hold")
+            raise FiveBarError(f"'{name}' has a signal and a value, but only one of them is allowed")
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -137,13 +137,13 @@ def _finite(text: str) -> float:
 
 
 def _none(text: str) -> float:
-    raise ValueError(f"{text} is no number of JSON")
+    raise ValueError(f"{text} is not a JSON number")
 
 
 def _check_brackets(content: Any, left: int) -> None:
     if isinstance(content, (dict, list)):
         if left == 0:
-            raise ValueError(f"more than {MOST_BRACKETS} brackets stand in each other")
+            raise ValueError(f"more than {MOST_BRACKETS} brackets are nested")
         for value in content.values() if isinstance(content, dict) else content:
             _check_brackets(value, left - 1)
 

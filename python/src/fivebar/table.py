@@ -69,7 +69,7 @@ def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> 
     names = [name for name, _ in head]
     for name, count in Counter(filter(None, names)).items():
         if count > 1:
-            raise FiveBarError(f"it has {count} columns {name:.60}; each name may stand in the head once")
+            raise FiveBarError(f"it has {count} columns {name:.60}; each name must be unique")
     places = {name: place for place, name in enumerate(names) if name in wanted and name != counted}
     found = {name: array("d") for name in places}
     counted_place = names.index(counted) if counted in names else None
@@ -89,7 +89,7 @@ def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> 
                 found[name].append(number(row[place]))
         except (InvalidOperation, ValueError):
             cell = row[names.index(name)]
-            raise FiveBarError(f"{name} in row {count} is {cell!r:.60}, which is no number") from None
+            raise FiveBarError(f"{name} in row {count} is {cell!r:.60}, which is not a number") from None
     columns = {name: np.array(column) for name, column in found.items()}
     for column in columns.values():
         column[~np.isfinite(column)] = np.nan

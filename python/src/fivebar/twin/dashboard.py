@@ -312,7 +312,7 @@ async def packet_from(reader: asyncio.StreamReader) -> bytes:
         head += await reader.readexactly(1)
     length = sum((byte & 0x7F) << 7 * place for place, byte in enumerate(head[1:]))
     if length > LARGEST:
-        raise OSError(f"a packet of {length} bytes; at most {LARGEST} are taken")
+        raise OSError(f"a packet of {length} bytes; at most {LARGEST} are allowed")
     return head + await reader.readexactly(length)
 
 

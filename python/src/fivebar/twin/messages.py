@@ -127,7 +127,7 @@ def _parse(kind: str, payload: bytes) -> dict[str, Any]:
 
 
 def _no_constant(name: str) -> float:
-    raise Refused(f"{name} is no number of JSON")
+    raise Refused(f"{name} is not a JSON number")
 
 
 def _no_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

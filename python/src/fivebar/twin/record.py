@@ -152,4 +152,4 @@ def _file(path: Path) -> pq.ParquetFile:
     try:
         return pq.ParquetFile(path)
     except (OSError, pa.ArrowException) as error:
-        raise TwinError(f"{path} is not a file of Parquet: {str(error)[:120]}") from None
+        raise TwinError(f"{path} is not a Parquet file: {str(error)[:120]}") from None

@@ -189,7 +189,7 @@ def guid(fmu: Path) -> str:
         with zipfile.ZipFile(fmu) as archive, archive.open("modelDescription.xml") as stream:
             return str(next(ElementTree.iterparse(stream, events=["start"]))[1].attrib["guid"])
     except (OSError, KeyError, zipfile.BadZipFile, ElementTree.ParseError) as error:
-        raise TwinError(f"{fmu} is no .fmu: {error}") from None
+        raise TwinError(f"{fmu} is not an .fmu: {error}") from None
 
 
 def run(file: Path) -> int:

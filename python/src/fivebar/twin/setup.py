@@ -104,5 +104,5 @@ def of_message(message: Message) -> Setup:
         isinstance(setup.guid, str)
         and all(math.isfinite(x) and x > 0 for x in (setup.period, setup.step, setup.horizon))
     ):
-        raise TwinError("the setup of the record has no sensible periods")
+        raise TwinError("the setup of the record needs a GUID, and a period, a step and a horizon above 0")
     return setup

@@ -332,7 +332,7 @@ def run_folder(out: Path) -> Path:
     try:
         runs.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise TwinError(f"out is {out}; a folder that is there or can be made is needed: {error.strerror}") from None
+        raise TwinError(f"out is {out}; a folder that exists or can be made is needed: {error.strerror}") from None
     finished = sorted(path.parent for path in runs.glob("*/finished"))
     for old in finished[: max(0, len(finished) - KEPT_RUNS + 1)]:
         for file in sorted(old.rglob("*"), reverse=True):
@@ -350,11 +350,11 @@ def configure(options: Options, folder: Path) -> Config:
         raise TwinError(f"seconds are {options.seconds:g}; more than 0 are needed")
     if options.hidden is not None and (options.csv or options.machine == "none"):
         raise TwinError(
-            f"hidden is {options.hidden}, which only the stand-in has: neither --csv nor --machine none goes with it"
+            f"hidden is {options.hidden}, but only the stand-in has hidden properties: --csv and --machine none are not allowed with it"
         )
     if options.faults and not options.publishes:
         raise TwinError(
-            f"faults are {options.faults!r:.60}, but with --machine none nothing is sent that could have them"
+            f"faults are {options.faults!r:.60}, but --machine none sends no messages that could have faults"
         )
     if options.broker:
         broker = configuration.other_broker(options.broker, options.user, options.ca_file)
@@ -421,7 +421,7 @@ def check_followed(config: Config, stand_in: bool) -> None:
                 try:
                     machine = StandIn(config, library)
                 except UnitError as error:
-                    raise TwinError(f"no machine can move by {known.name}: {error}") from None
+                    raise TwinError(f"the machine cannot move by {known.name}: {error}") from None
             # The twin starts at the first sample with both angles.
             while (sample := machine.next()) is not None and not all(name in sample.fields for name in MEASURED):
                 pass

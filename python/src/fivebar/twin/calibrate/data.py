@@ -204,7 +204,7 @@ def of_messages(source: str | Path, received: Iterable[tuple[str, bytes]], unit:
         else:
             found[base + message.seq] = message.time, message.fields
     if len(units) > 1:
-        raise TwinError(f"{source} has samples of {', '.join(sorted(units))}: say which by --unit")
+        raise TwinError(f"{source} has samples of {', '.join(sorted(units))}: choose one by --unit")
     if not found:
         why = f"; {refused} are malformed: {reason}" if refused else ""
         raise TwinError(f"{source} has no message meas" + (f" of unit {unit!r}" if unit else "") + why)

@@ -184,7 +184,7 @@ def _members(name: str, library: Library, asked: Asked) -> tuple[str, ...]:
             or member.startswith(("solver.", "estimator.", "init."))
         ):
             raise TwinError(
-                f"{name} cannot be {asked.done}: {member} is no parameter of the machine; {', '.join(asked.examples)} are examples"
+                f"{name} cannot be {asked.done}: {member} is not a parameter of the machine; {', '.join(asked.examples)} are examples"
             )
     return members
 

@@ -131,10 +131,10 @@ def read(file: Path) -> tuple[list[Candidate], list[float] | None]:
             for c in content["candidates"]
         ]
     except (KeyError, TypeError, ValueError, AttributeError):
-        raise TwinError(f"{file} does not list candidates as docs/ensembles.md says") from None
+        raise TwinError(f"{file} is not a list of candidates as in docs/ensembles.md") from None
     if not 0 < len(found) <= MOST_CANDIDATES or (goal is not None and len(goal) != 2):
         raise TwinError(
-            f"{file} has {len(found)} candidates and a goal of {len(goal or [0, 0])} numbers; 1 to {MOST_CANDIDATES} and 2 are allowed"
+            f"{file} has {len(found)} candidates and a goal of {len(goal or [0, 0])} numbers; 1 to {MOST_CANDIDATES} candidates and a goal of 2 numbers are allowed"
         )
     for candidate in found:
         for name, knots in candidate.knots.items():
@@ -247,7 +247,7 @@ def run(options: Options) -> int:
     """Answers snapshots; returns 0 if at least one was answered."""
     if not (math.isfinite(options.seconds) and 0 < options.seconds <= 10) or not 1 <= options.members <= 10000:
         raise TwinError(
-            f"{options.seconds:g} s and {options.members} members; up to 10 s and 1 to 10000 members are allowed"
+            f"seconds are {options.seconds:g} and members are {options.members}; up to 10 s and 1 to 10000 members are allowed"
         )
     config = process.read_config(options.config)
     candidates, goal = read(options.candidates) if options.candidates else (None, None)

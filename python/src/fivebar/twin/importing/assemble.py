@@ -73,7 +73,7 @@ def named(file: Path, given: Map) -> Map:
     found |= {name: Entry(name) for name in MEASURED if name in columns}
     if not any(name in found for name in MEASURED):
         raise FiveBarError(
-            f"{file} has no column {MEASURED[0]} or {MEASURED[1]}, and no --map says which they are; its columns are {sources.listed(columns)}"
+            f"{file} has no column {MEASURED[0]} or {MEASURED[1]}; without --map these names are needed, and its columns are {sources.listed(columns)}"
         )
     return given.exchanged(found)
 
@@ -106,7 +106,7 @@ def _together(file: Path, streams: list[Stream], given: Map) -> tuple[Array, dic
     for stream in streams:
         if np.any(back := np.diff(stream.clock) < 0):
             raise FiveBarError(
-                f"{file}: {stream.name} falls back at {stream.clock[np.argmax(back)]:.3f} s, so that several topics cannot be put together; "
+                f"{file}: {stream.name} falls back at {stream.clock[np.argmax(back)]:.3f} s, so several topics cannot be combined; "
                 f'a map with "{TIME}": {{"column": "{sources.RECEIVED}"}} takes the recorder\'s clock'
             )
     by_name = {name: next(s for s in streams if entry.column in s.columns) for name, entry in given.entries.items()}

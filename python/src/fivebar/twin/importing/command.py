@@ -17,7 +17,7 @@ def run(files: Sequence[Path], map_file: Path | None, scene: str | None, record:
     """Writes the record, prints its content and, with a scene, a proposed map; returns 0."""
     if record.suffix.lower() != ".csv":
         raise FiveBarError(
-            f"the record is {record}; a name that ends in .csv is needed, a table that all commands read"
+            f"the record is {record}; a name that ends in .csv is needed"
         )
     given = maps.read(map_file) if map_file else maps.Map()
     found, used = assemble.recorded(files, given)

@@ -133,14 +133,14 @@ def parse(content: Any) -> Map:
     known = (scene_file.DESCRIPTION, TIME, *VARIABLES)
     for name in content:
         if name not in known:
-            raise FiveBarError(f"'{name}' is no variable of a recording{similar(name, known)}")
+            raise FiveBarError(f"'{name}' is not a variable of a recording{similar(name, known)}")
     entries = {name: _entry(name, given) for name, given in content.items() if name != scene_file.DESCRIPTION}
     time = entries.pop(TIME, Entry(TIME))
     if not any(name in entries for name in MEASURED):
         raise FiveBarError(f"it has neither {MEASURED[0]} nor {MEASURED[1]}")
     for i, name in enumerate(PASSIVE):
         if name in entries and entries[name].relative and MEASURED[i] not in entries:
-            raise FiveBarError(f"'{name}.relative' needs {MEASURED[i]}, from which it counts")
+            raise FiveBarError(f"'{name}.relative' needs {MEASURED[i]}, to which it is relative")
     for name, entry in entries.items():
         if entry.column == time.column:
             raise FiveBarError(f"'{name}.column' is {entry.column:.60}, the column of the time: it must be another one")

@@ -81,7 +81,7 @@ def _table(file: Path, wanted: Collection[str], clock: str) -> table.Table:
         known = pq.read_schema(file).names
         content = pq.read_table(file, columns=[name for name in known if name in {clock, *wanted}])
     except (OSError, pa.ArrowException) as error:
-        raise FiveBarError(f"{file} is not a file of Parquet: {str(error)[:120]}") from None
+        raise FiveBarError(f"{file} is not a Parquet file: {str(error)[:120]}") from None
     columns = {name: _numbers(file, name, content[name], name == clock) for name in content.column_names}
     stamped = [name for name in columns if pa.types.is_timestamp(content[name].type)]
     return table.Table(columns, dict.fromkeys(stamped, "ns"), [name for name in known if name not in columns])
@@ -181,7 +181,7 @@ def _messages(file: Path, wanted: Collection[str] | None) -> Iterator[_Message]:
                     if wanted is None:
                         break
     except (AnyReaderError, OSError) as error:
-        raise FiveBarError(f"{file} is no bag of ROS that can be read: {str(error)[:120]}") from None
+        raise FiveBarError(f"{file} cannot be read as a ROS bag: {str(error)[:120]}") from None
 
 
 def _fields(path: str, value: Any) -> Iterator[tuple[str, float]]:
