@@ -295,7 +295,7 @@ def test_a_variable_with_a_signal_keeps_it(tmp_path: Path, library: Library) -> 
         handover.write(learned, given, {"payload.mass": 0.02, "link[1].mass": 0.018})
     content = json.loads(learned.read_text())
     assert content["link[1].mass"] == 0.018 and "payload.mass" not in content and content["signals"] == signalled
-    assert content["description"].count(handover.TOLD) == 1
+    assert content["description"].count(handover.LEARNED) == 1
     scenes_of.read(learned, library.known)
 
 

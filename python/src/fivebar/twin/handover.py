@@ -12,7 +12,7 @@ from fivebar import scene_file
 from fivebar.scene import write_content
 from fivebar.twin.calibrate.parameters import SWITCHES
 
-TOLD: Final = "Masses, payload, friction, lengths and mounting angles as a twin has learned them."
+LEARNED: Final = "Masses, payload, friction, lengths and mounting angles as a twin has learned them."
 """Sentence appended to the scene's description."""
 
 
@@ -25,7 +25,7 @@ def write(file: Path, source: Path, values: Mapping[str, float]) -> None:
     signals = content.get(scene_file.SIGNALS, {})
     learned = {name: value for name, value in values.items() if name not in signals}
     switches = {SWITCHES[word]: True for word in (name.partition(".")[0] for name in learned) if word in SWITCHES}
-    before = content[scene_file.DESCRIPTION].removesuffix(TOLD).rstrip()
+    before = content[scene_file.DESCRIPTION].removesuffix(LEARNED).rstrip()
     turned = _turned(
         content,
         {
@@ -34,7 +34,7 @@ def write(file: Path, source: Path, values: Mapping[str, float]) -> None:
             if key in values
         },
     )
-    write_content(file, content | turned | switches | learned | {scene_file.DESCRIPTION: f"{before} {TOLD}"})
+    write_content(file, content | turned | switches | learned | {scene_file.DESCRIPTION: f"{before} {LEARNED}"})
 
 
 def _turned(content: Mapping[str, Any], by: Mapping[int, float]) -> dict[str, Any]:

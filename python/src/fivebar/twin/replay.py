@@ -20,7 +20,7 @@ KEPT: Final = 20_000
 PATIENCE: Final = 500
 """Number of messages after which an input that an estimate names counts as missing."""
 
-TOLD: Final = 5
+MOST_SHOWN: Final = 5
 """Maximum number of differences, gaps and invalid rows that are shown."""
 
 MOSTLY_LEFT_OUT: Final = 3
@@ -204,10 +204,10 @@ def run(file: Path, fmu: Path, since: float, until: float) -> int:
         ("the record lacks ", result.gaps),
         ("a row is no message: ", result.bad),
     ):
-        for sentence in sentences[:TOLD]:
+        for sentence in sentences[:MOST_SHOWN]:
             print(what + sentence)
-        if len(sentences) > TOLD:
-            print(f"... and {len(sentences) - TOLD} more")
+        if len(sentences) > MOST_SHOWN:
+            print(f"... and {len(sentences) - MOST_SHOWN} more")
     speed = result.spanned / result.seconds if result.seconds else 0.0
     print(
         f"{result.compared} estimates and {result.states} stored states compared to the bit in {result.seconds:.2f} s "
