@@ -221,10 +221,7 @@ fn errors_are_named() {
             json!({ "solver.maxWork": 99_999_999_999_999_u64 }),
             &["'solver.maxWork' must be a whole number from 0 to 2147483647, not 99999"],
         ),
-        (
-            json!({ "tau[1]": [[[[[[[[1]]]]]]]] }),
-            &["it is not valid JSON: more than 8 brackets are nested at line 1 column"],
-        ),
+        (json!({ "tau[1]": [[[[[[[[1]]]]]]]] }), &["it is not valid JSON: more than 8 brackets are nested at line 1 column"]),
         (signals(json!({ "servo.omega[1]": { "rateOf": 3 } })), &["'rateOf' must name", "not 3"]),
         (json!({ "tau[2]": 1, "signals": { "tau[2]": { "linear": knots } } }), &["'tau[2]' has a signal and a value"]),
         (

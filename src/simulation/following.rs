@@ -56,9 +56,7 @@ impl Following {
     /// Simulation at its start, before the first sample. Refuses parameters without `estimator.enabled`, and friction that sticks.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         if !parameters.estimator.enabled {
-            return Err(SceneError(
-                "estimator.enabled = false is not allowed if a machine is followed: it must be true.".into(),
-            ));
+            return Err(SceneError("estimator.enabled = false is not allowed if a machine is followed: it must be true.".into()));
         }
         parameters.estimator.check(parameters.settings.step_size)?;
         if let Some(name) = sticking_law(&parameters.effects) {

@@ -82,9 +82,7 @@ def test_inputs_that_cannot_be_are_one_sentence(given: Any, sentence: str, fmu: 
 
 def test_an_input_and_a_value_in_one_call_are_refused(fmu: Path) -> None:
 
-    with pytest.raises(
-        FiveBarError, match=r"^'tau\[1\]' has a signal and a value, but only one of them is allowed$"
-    ):
+    with pytest.raises(FiveBarError, match=r"^'tau\[1\]' has a signal and a value, but only one of them is allowed$"):
         fivebar.run("swing", inputs={"tau[1]": 0.1}, **{"tau[1]": 0.2})
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 )
 @options.out("the current folder")
 def unit(scene: str | None, name: str | None, naming: "Naming", out: Path | None) -> None:
-    """Write the .fmu for your own tool, also for a machine of your own.
+    """Write the .fmu for your own tool or machine.
 
     Any FMI 2.0 master runs it without setting a value, on every platform of the shipped unit. No compiler is needed.
 

@@ -16,9 +16,7 @@ SHOWN: Final = 5
 def run(files: Sequence[Path], map_file: Path | None, scene: str | None, record: Path) -> int:
     """Writes the record, prints its content and, with a scene, a proposed map; returns 0."""
     if record.suffix.lower() != ".csv":
-        raise FiveBarError(
-            f"the record is {record}; a name that ends in .csv is needed"
-        )
+        raise FiveBarError(f"the record is {record}; a name that ends in .csv is needed")
     given = maps.read(map_file) if map_file else maps.Map()
     found, used = assemble.recorded(files, given)
     lines = [*_summary(found, used, quality.measure(found)), *(guess.lines(found, used, scene) if scene else [])]
