@@ -192,7 +192,7 @@ pub(super) const CORRELATION_TIME: f64 = 0.3;
 /// Correlation time of a persistent reading error, s. While lengths and mounting angles are learned, the error counts once in this time.
 /// Errors of constant lengths and mounting angles last longer, errors of eccentric discs less in fast motion. Of 160 slow crossings with
 /// geometry off 33 are lost with 0.05 s, 29 with 0.1 s, 17 with 0.3 s and 7 with 1 s; 5, 2, 4 and 8 of them in silence (table `geometry`,
-/// `--part 0.2 --seeds 8210000000`, rows *slow crossings, told*).
+/// `--part 0.2 --seeds 8210000000`, rows *slow crossings, configured*).
 pub(super) const PERSISTENT_TIME: f64 = 0.3;
 /// Share of the product of relative mass errors and reading errors due to lengths and mounting angles, rad, that counts as an error of a
 /// sample when these are learned: a wrong torque moves an axis this far before it is corrected. With 0 at least 76 % of the samples of nine

@@ -19,7 +19,7 @@ from fivebar.instance import Unit
 from fivebar.library import Library
 from fivebar.own_unit import write_unit
 from fivebar.scene_file import OFFSETS
-from fivebar.twin import dashboard, figures, handover, record, scene
+from fivebar.twin import dashboard, figures, learned_scene, record, scene
 from fivebar.twin.config import Config
 from fivebar.twin.follower import LEARNED
 from fivebar.twin.messages import TRACKED, Message
@@ -47,7 +47,7 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(
     learned = figures.read(run.folder).learned
     assert learned is not None
     file = tmp_path / "learned.json"
-    handover.write(file, config.path / scene.SOURCE, learned["values"])
+    learned_scene.write(file, config.path / scene.SOURCE, learned["values"])
 
     before, after = scenes_of.read("spring_payload", library.known), scenes_of.read(file, library.known)
     assert after.signals.keys() == before.signals.keys() and after.stop_time == before.stop_time
@@ -184,7 +184,7 @@ def test_lengths_and_encoder_offsets_are_written_together(tmp_path: Path, fmu: P
     lengths = {name: value for name, value in values.items() if name not in OFFSETS}
     for name, handed in (("scene", {}), ("all", values), ("geometry", geometry), ("lengths", lengths)):
         file = tmp_path / f"{name}.json"
-        handover.write(file, config.path / scene.SOURCE, handed)
+        learned_scene.write(file, config.path / scene.SOURCE, handed)
         again = configured(tmp_path / name, fmu, library, file)
         found[name] = followed(replace(again, machine=config.machine), library, 1000)
     assert found["geometry"][0] < found["scene"][0] / 10 and found["geometry"][0] < found["lengths"][0] / 10, found
@@ -235,7 +235,9 @@ def test_a_calibration_starts_from_encoder_offsets_and_writes_them(tmp_path: Pat
 def test_drives_get_the_same_commands(tmp_path: Path, fmu: Path, library: Library) -> None:
     """Servos use encoder angles: commands stay as planned, and forecasts of a machine that keeps its commands have a plan."""
     first = configured(tmp_path / "first", fmu, library, "pick_and_place", exact=True)
-    handover.write(tmp_path / "learned.json", first.path / scene.SOURCE, dict(zip(OFFSETS, (1e-3, -2e-3), strict=True)))
+    learned_scene.write(
+        tmp_path / "learned.json", first.path / scene.SOURCE, dict(zip(OFFSETS, (1e-3, -2e-3), strict=True))
+    )
     again = configured(tmp_path / "again", fmu, library, tmp_path / "learned.json", exact=True)
     before, after = (machine(replace(config, machine=first.machine), library) for config in (first, again))
     twin = follower(again, library)
@@ -292,10 +294,10 @@ def test_a_variable_with_a_signal_keeps_it(tmp_path: Path, library: Library) -> 
     signalled = json.loads(source.read_text())["signals"]
     assert "payload.mass" in signalled
     for given in (source, learned):
-        handover.write(learned, given, {"payload.mass": 0.02, "link[1].mass": 0.018})
+        learned_scene.write(learned, given, {"payload.mass": 0.02, "link[1].mass": 0.018})
     content = json.loads(learned.read_text())
     assert content["link[1].mass"] == 0.018 and "payload.mass" not in content and content["signals"] == signalled
-    assert content["description"].count(handover.LEARNED) == 1
+    assert content["description"].count(learned_scene.LEARNED) == 1
     scenes_of.read(learned, library.known)
 
 

@@ -53,7 +53,7 @@ from fivebar.commands import options
 def twin(fmu: Path | None, out: Path | None, **given: Any) -> int:
     """Run a live twin with its dashboard.
 
-    Machine, estimator, forecasts, recorder and watch: a stand-in for a machine publishes what its encoders see over MQTT; the twin follows, estimates what pushes on the machine, looks ahead and
+    Machine, estimator, forecasts, recorder and watch: a simulated machine publishes its encoder samples over MQTT; the twin follows it, estimates unknown forces, looks ahead and
     warns of singularities.
 
     \b

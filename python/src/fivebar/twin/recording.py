@@ -33,7 +33,7 @@ COLUMNS: Final = frozenset({TIME, *MEAS_FIELDS, *TRUE})
 """Names of the columns that are read."""
 
 GIVEN: Final = "the record"
-"""What columns without a file are called."""
+"""Name of columns without a file in messages."""
 
 SLOW: Final = 0.5
 """Limit of a plausible sampling period, s: machines are sampled faster, and times in ms look slower."""

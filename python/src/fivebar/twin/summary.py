@@ -23,7 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from fivebar.colours import TIP
-from fivebar.twin import figures, handover, held_out, scene
+from fivebar.twin import figures, learned_scene, held_out, scene
 from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.figures import Judged, Story
@@ -100,7 +100,7 @@ def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Fig
     made = []
     if learned := content["learned"]:
         made.append(config.path / LEARNED)
-        handover.write(made[0], config.path / scene.SOURCE, learned["values"])
+        learned_scene.write(made[0], config.path / scene.SOURCE, learned["values"])
     else:
         # A file of an earlier run would look like a result of this one.
         (out / LEARNED).unlink(missing_ok=True)

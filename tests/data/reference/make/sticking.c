@@ -467,7 +467,7 @@ static void print(int tenth, const real *y) {
     fflush(stdout);
 }
 
-/* Angles and rates of all links from those of the proximal ones: the tip is where two circles meet. */
+/* Angles and rates of all links from the proximal ones: the tip is an intersection of two circles. */
 static void start(real *y) {
     real a = get_i("init.theta", 0, ""), d = get_i("init.theta", 1, ""), wa = get_i("init.omega", 0, ""), wd = get_i("init.omega", 1, "");
     real p[2] = {length[0] * cosq(a), length[0] * sinq(a)}, r[2] = {length[3] * cosq(d), length[3] * sinq(d)};

@@ -88,7 +88,7 @@ class Problem:
     """Prior standard deviations of the scene's values, in sizes."""
 
     def solve(self, commands: Between, longest: float, patience: float, show: Show) -> "Calibration":
-        """Fits and judges the unknowns; raises GivenUp after the time limit."""
+        """Fits and judges the unknowns; raises TimeLimitExceeded after the time limit."""
         _check_positive("longest", longest)
         _check_positive("patience", patience)
         if commands not in get_args(Between):

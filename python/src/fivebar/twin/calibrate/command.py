@@ -15,7 +15,7 @@ from fivebar.library import Library
 from fivebar.scene import content, write_content
 from fivebar.twin.calibrate import scenes
 from fivebar.twin.calibrate.calibration import SMALL, Problem, prepare
-from fivebar.twin.calibrate.fit import GivenUp
+from fivebar.twin.calibrate.fit import TimeLimitExceeded
 from fivebar.twin.calibrate.identify import interval
 from fivebar.twin.calibrate.motion import Between
 from fivebar.twin.calibrate.propose import SECONDS, propose
@@ -75,7 +75,7 @@ def run(options: Options) -> int:
                 file.unlink(missing_ok=True)
         try:
             found = problem.solve(options.commands, options.longest, options.patience, _show)
-        except GivenUp:
+        except TimeLimitExceeded:
             if options.proposal:
                 unknown = np.full(len(problem.sought), np.inf)
                 _say_proposal(_write_proposal(proposed, problem, np.full(2, SMALL), unknown, options.fmu))

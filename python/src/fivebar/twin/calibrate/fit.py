@@ -72,7 +72,7 @@ LIMIT: Final = 0.5
 """Standard deviation, in sizes of an unknown, from which it counts as not identified: half of the scene's value."""
 
 BELIEVED: Final = 1.0
-"""Prior standard deviation in sizes of each unknown for the first fit, which does not know yet what the record identifies."""
+"""Prior standard deviation in sizes of each unknown for the first fit, before it is known which unknowns the record identifies."""
 
 WEAK: Final = 10.0
 """Prior standard deviation in sizes of each unknown for later fits: too wide to change an estimate."""
@@ -101,12 +101,12 @@ STAGES: Final = (
 """Order in which unknowns are fitted to the shortest pieces, by the beginnings of their names; each stage keeps the unknowns of earlier ones."""
 
 EXPLAINS: Final = 0.9
-"""Ratio of residuals after and before a stage, above which its values are dropped: they may only compensate for what a later stage explains."""
+"""Ratio of residuals after and before a stage, above which its values are dropped: they may only compensate for unknowns of a later stage."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What a stage of the fit explains and leaves."""
+    """Residuals before and after a stage of the fit."""
 
     name: str
     seconds: float
@@ -122,7 +122,7 @@ class Stage:
         return f"{self.name}, pieces of {self.seconds:g} s: residuals of {1e3 * self.before:.3g} mrad become {1e3 * self.after:.3g} mrad"
 
 
-class GivenUp(TwinError):
+class TimeLimitExceeded(TwinError):
     """The fit has exceeded its time limit."""
 
 
@@ -286,7 +286,7 @@ class Fitter:
     def motion(self, piece: Piece, x: Array, state: Array) -> Array:
         """Predicted encoder angles over a piece, rad, (n, 2)."""
         if time.process_time() > self.ends:
-            raise GivenUp(
+            raise TimeLimitExceeded(
                 f"the fit did not converge within {self.patience:g} s of CPU (--patience): the scene is probably not this machine; "
                 "are its geometry, the order, signs and zeros of the encoders, and the drive commands right?"
             )
@@ -561,7 +561,7 @@ class Fitter:
             if fitted:
                 z = fitter.stage("", pieces, z, prior, lengths[0])
             return float(np.mean(spread(fitter.gaps(pieces, z), pieces))) if 2 * len(pieces) > count else math.inf
-        except GivenUp:
+        except TimeLimitExceeded:
             raise
         except TwinError:
             return math.inf
@@ -569,7 +569,7 @@ class Fitter:
             machine.close()
 
     def stage(self, name: str, pieces: list[Piece], z: Array, prior: Array, length: float) -> Array:
-        """Fits the free unknowns, and notes what that explains."""
+        """Fits the free unknowns, and notes the residuals before and after."""
         gaps = self.gaps(pieces, z)
         self.leave_out(pieces, gaps, np.full(2, np.inf))
         before = rms(gaps, pieces)

@@ -54,7 +54,7 @@ class Writer(Protocol):
 
 @dataclass
 class Written:
-    """Numbers of what was written."""
+    """Numbers of written messages and refused rows."""
 
     messages: int = 0
     refused: int = 0

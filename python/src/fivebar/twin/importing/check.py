@@ -76,7 +76,7 @@ class Report:
     """The map to use; "" if there is none or it may stay."""
 
     publish: list[str] = field(default_factory=list)
-    """What the publishing program should send instead."""
+    """Advice for the publishing program."""
 
     scene: dict[str, float] = field(default_factory=dict)
     """Values for the scene, by name."""
