@@ -23,7 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from fivebar.colours import TIP
-from fivebar.twin import figures, learned_scene, held_out, scene
+from fivebar.twin import figures, held_out, learned_scene, scene
 from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.figures import Judged, Story
