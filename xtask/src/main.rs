@@ -18,6 +18,7 @@ mod report;
 mod run;
 mod scenes;
 mod site;
+mod stamp;
 mod test;
 mod twin;
 mod venv;

@@ -3,6 +3,7 @@
 
 use crate::package::{self, Files};
 use crate::paths;
+use crate::stamp::{self, State};
 use anyhow::{Context, Result, bail, ensure};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -28,6 +29,7 @@ const LARGEST: usize = 2_000_000;
 
 /// Builds the library for a browser and writes both forms of the page.
 pub(crate) fn page() -> Result<()> {
+    let sources = sources()?;
     let (library, licenses) = package::web()?;
     let unit = unit()?.to_string();
     let licenses = notices(&licenses);
@@ -50,8 +52,20 @@ pub(crate) fn page() -> Result<()> {
     fs::write(site.join("licenses.txt"), licenses)?;
     fs::write(&file, &whole)?;
     println!("{}: {} bytes, of which the library, packed, has {}", paths::short(&file), whole.len(), packed(&library)?.len());
+    stamp::write(folder, &sources)?;
     println!("{}: for a web server; the library has {} bytes", paths::short(&site), library.len());
     Ok(())
+}
+
+/// Whether the page is there, and made from the present sources.
+pub(crate) fn state() -> Result<State> {
+    Ok(stamp::state(&paths::page(), &sources()?))
+}
+
+/// What the page is made from.
+fn sources() -> Result<String> {
+    let folders = ["Cargo.lock", "Cargo.toml", "build.rs", "modelDescription", SOURCES, "scenes", "src", "xtask/src"];
+    stamp::sources(&folders, &[])
 }
 
 /// Data of the unit for the page: GUID, version, variables with their references, and scenes.

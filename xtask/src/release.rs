@@ -2,7 +2,7 @@
 
 use crate::package::{self, Files, Scope};
 use crate::venv::{self, Packages};
-use crate::{page, paths, process, wheel};
+use crate::{page, paths, process, site, wheel};
 use anyhow::{Context, Result, ensure};
 use serde_json::{Value as Json, json};
 use sha2::{Digest, Sha256};
@@ -18,10 +18,11 @@ const NOTES: &str = "release-notes.txt";
 
 /// Makes wheel, sdist, the .fmu, licences, notes, a bill of materials, and checksums of all of them.
 ///
-/// With libraries for all platforms the wheel contains the live page, built again: an older file would contain another library.
+/// With libraries for all platforms the wheel contains the live page and the site, built again: the page would contain another library.
 pub(crate) fn release(scope: Scope) -> Result<()> {
     if matches!(scope, Scope::All) {
         page::page()?;
+        site::site(&site::Options::default())?;
     }
     let fmu = package::package(scope)?;
     let folder = paths::in_root("target/release-files");

@@ -1,9 +1,10 @@
 //! `cargo xtask wheel`: the Python package for users, with the unit, the scenes and the live page inside.
 
 use crate::package::{self, Scope};
+use crate::stamp::State;
 use crate::venv::{self, Packages};
-use crate::{paths, process};
-use anyhow::{Context, Result};
+use crate::{page, paths, process, site};
+use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -21,11 +22,15 @@ pub(crate) fn wheel(scope: Scope) -> Result<PathBuf> {
     Ok(wheel)
 }
 
-/// Builds `wheel`, `sdist` or both around a packed unit, in a folder; python/hatch_build.py adds the shipped files.
+/// Builds `wheel`, `sdist` or both around a packed unit, in a folder; python/hatch_build.py adds the shipped files. An old site is made
+/// again. An old live page is refused, because it needs more than Rust and Python.
 pub(crate) fn build(fmu: &Path, targets: &[&str], folder: &Path) -> Result<()> {
-    if let Some(sentence) = missing(&paths::page()) {
-        println!("{sentence}");
+    match page::state()? {
+        State::Current => {}
+        State::Missing => println!("{}", missing(&paths::page())),
+        State::Old => bail!("{}", old(&paths::page())),
     }
+    site::refresh()?;
     process::run(
         venv::python(Packages::Usual)?
             .args(["-m", "hatchling", "build", "--directory"])
@@ -36,14 +41,20 @@ pub(crate) fn build(fmu: &Path, targets: &[&str], folder: &Path) -> Result<()> {
     )
 }
 
-/// A message if the live page for the package is missing.
-fn missing(page: &Path) -> Option<String> {
-    (!page.is_file()).then(|| {
-        format!(
-            "the package comes without the live page, for there is no {}: `cargo xtask page`, which needs `.ci/setup-page`, makes it",
-            paths::short(page)
-        )
-    })
+/// The message if the live page for the package is missing.
+fn missing(page: &Path) -> String {
+    format!(
+        "the package comes without the live page, for there is no {}: `cargo xtask page`, which needs `.ci/setup-page`, makes it",
+        paths::short(page)
+    )
+}
+
+/// The error if the live page was made from other sources, and so has another library than the package's unit.
+fn old(page: &Path) -> String {
+    let page = paths::short(page);
+    format!(
+        "{page} was made from other sources: make it again by `cargo xtask page`, or remove it for a package without the live page"
+    )
 }
 
 #[cfg(test)]
@@ -51,9 +62,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_missing_page_is_reported() {
-        assert_eq!(missing(&paths::in_root("README.md")), None);
-        let sentence = missing(&paths::in_root("target/no/fivebar.html")).unwrap();
-        assert!(sentence.contains("no target/no/fivebar.html: `cargo xtask page`") && sentence.contains("`.ci/setup-page`"));
+    fn a_page_that_is_missing_or_old_is_named() {
+        let page = paths::in_root("target/no/fivebar.html");
+        assert!(
+            missing(&page).contains("no target/no/fivebar.html: `cargo xtask page`") && missing(&page).contains("`.ci/setup-page`")
+        );
+        assert!(old(&page).starts_with("target/no/fivebar.html was made from other sources"));
     }
 }
