@@ -47,6 +47,16 @@ def site(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.nightly
+def test_all_markdown_is_read(site: Path) -> None:
+    """No mark of Markdown, and no formula, is left as text: lists, tables, blocks, formulas, folded listings."""
+    left = re.compile(r"^(?:- |\* |\||```|\?\?\? ).*|<code>math\b.*|(?<=<p>)(?:- |```|\?\?\? ).*", re.MULTILINE)
+    for page in site.rglob("*.html"):
+        if "live" not in page.parts:
+            text = re.sub(r"<(pre|script|style)\b.*?</\1>", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+            assert left.findall(text) == [], page.name
+
+
 @pytest.fixture(scope="module")
 def browser(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A browser; at the end its console must have no warnings."""
@@ -58,13 +68,17 @@ def browser(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[An
 
 WIDER = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
 FOREIGN = "return performance.getEntriesByType('resource').map((e) => e.name).filter((n) => !n.startsWith('file:'))"
+SLIVERS = "return [...document.querySelectorAll('td')].filter((cell) => cell.offsetWidth < 2 * parseFloat(getComputedStyle(cell).fontSize) && cell.textContent.length > 5).map((cell) => cell.textContent)"
+BROKEN = (
+    "return [...document.images].filter((image) => image.complete && !image.naturalWidth).map((image) => image.src)"
+)
 NAMELESS = "return [...document.images].filter((image) => !image.alt).map((image) => image.src)"
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1280, "dark")])
 def test_pages_fit(site: Path, browser: Any, width: int, scheme: str) -> None:
-    """No page is wider than the window, uses the network or has a picture without a text alternative."""
+    """No page is wider than the window, uses the network, has a missing picture or one without a text alternative, or a column of single letters."""
     screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     feature = {"name": "prefers-color-scheme", "value": scheme}
@@ -76,6 +90,8 @@ def test_pages_fit(site: Path, browser: Any, width: int, scheme: str) -> None:
         assert browser.execute_script(WIDER) <= 0, f"{page.name} at {width} px"
         assert browser.execute_script(FOREIGN) == [], page.name
         assert browser.execute_script(NAMELESS) == [], page.name
+        assert browser.execute_script(BROKEN) == [], page.name
+        assert browser.execute_script(SLIVERS) == [], page.name
 
 
 @pytest.mark.nightly

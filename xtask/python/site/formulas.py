@@ -7,12 +7,13 @@ from xml.etree import ElementTree
 from markdown import Markdown
 from markdown.extensions import Extension
 from markdown.inlinepatterns import InlineProcessor
-from math_core import LatexToMathML
+from math_core import LatexError, LatexToMathML
+from pymdownx.superfences import SuperFencesException
 
 LONG = 40
 """Characters of TeX beyond which a formula in a line may be wider than a telephone; site.css lets it scroll by itself."""
 
-NUMBER = re.compile(r"\\tag\{(\d+)\}")
+NUMBER = re.compile(r"\\tag\{(\w+)\}")
 
 
 @cache
@@ -22,9 +23,15 @@ def mathml(tex: str, display: bool) -> str:
 
 
 def block(source: str, *_: object, **__: object) -> str:
-    r"""A block ```math; its number `\tag{…}` becomes an anchor and stands at the right."""
+    r"""A block ```math; its number `\tag{…}` becomes an anchor and stands at the right.
+
+    A wrong formula ends the build; any other exception would make superfences show the block as code.
+    """
     number = NUMBER.search(source)
-    formula = mathml(NUMBER.sub("", source), display=True)
+    try:
+        formula = mathml(NUMBER.sub("", source), display=True)
+    except LatexError as error:
+        raise SuperFencesException(f"the formula {source!r}: {error}") from error
     if not number:
         return f'<div class="formula">{formula}</div>'
     return f'<div class="formula" id="equation-{number[1]}">{formula}<span>({number[1]})</span></div>'

@@ -199,6 +199,26 @@ RANGES = (
 )  # fmt: skip
 
 
+CELL = re.compile(r"<td.*?</td>", re.DOTALL)
+TEXT = re.compile(r"(?<=>)[^<>]+(?=<)")
+SMALL = re.compile(r"(?<![\w.])\d+(?:\.\d+)?e-\d+")
+"""A number that browsers would break behind its hyphen."""
+
+NAME = re.compile(r"(?<=\w)(?:::|[_./=])(?=\w)|(?<=\w)(?=[\[(])|,(?=\S)")
+"""Places at which a name in a cell may break."""
+
+
+def on_post_page(output: str, **_: object) -> str:
+    """Lets names in cells break behind their parts, and numbers not at all, so that columns keep a readable width on a telephone."""
+
+    def text(part: re.Match[str]) -> str:
+        if SMALL.search(part[0]):
+            return SMALL.sub(r'<span class="number">\g<0></span>', part[0])
+        return NAME.sub(r"\g<0><wbr>", part[0]) if max(map(len, part[0].split()), default=0) > 8 else part[0]
+
+    return CELL.sub(lambda cell: TEXT.sub(text, cell[0]), output)
+
+
 @event_priority(-200)
 def on_post_build(config: MkDocsConfig) -> None:
     """Removes what no page reads, after the plugin `offline` has written the search index in the form that it needs."""

@@ -225,7 +225,9 @@ def _kind(entry: Mapping[str, Any]) -> str:
         return "one of " + ", ".join(f"`{item}`" for item in entry["enum"])
     words = entry.get("type", "")
     words = " or ".join(words) if isinstance(words, list) else words
-    low, high = (None if bound is None else _number(bound) for bound in (entry.get("minimum"), entry.get("maximum")))
+    # The largest double only says that a number is finite.
+    bounds = (entry.get("minimum"), entry.get("maximum"))
+    low, high = (None if bound is None or abs(bound) >= 1e308 else _number(bound) for bound in bounds)
     if low and high:
         return f"{words}, {low} to {high}"
     return words + (f", at least {low}" if low else f", at most {high}" if high else "")
