@@ -92,15 +92,30 @@ def test_follow_push(fmu: Path, tmp_path: Path) -> None:
 
 
 CELLS = """
-import json, sys, matplotlib
+import json, sys
 if __name__ == "__main__":
+    import matplotlib.pyplot
     matplotlib.use("Agg")
     names = {}
     for cell in json.load(open(sys.argv[1], encoding="utf-8"))["cells"]:
         if cell["cell_type"] == "code":
             exec("".join(cell["source"]), names)
+            if "picture" in cell["metadata"]:
+                from notebook_picture import saving
+                exec(saving(cell["metadata"]["picture"].rpartition("/")[2]), names)
+            matplotlib.pyplot.close("all")  # as a notebook does after each cell
 """
 """Runs the code of a notebook; processes that it starts import this script."""
+
+
+def test_readme_shows_the_picture_of_a_notebook() -> None:
+    """One, small enough for a page that many read."""
+    files = [json.loads(path.read_text(encoding="utf-8")) for path in (REPOSITORY / "examples").glob("*.ipynb")]
+    [picture] = [
+        cell["metadata"]["picture"] for file in files for cell in file["cells"] if "picture" in cell["metadata"]
+    ]
+    assert f"]({picture})" in (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    assert (REPOSITORY / picture).stat().st_size < 100_000
 
 
 @pytest.mark.parametrize(
@@ -108,7 +123,7 @@ if __name__ == "__main__":
     ["my_machine", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("follow", "free_fall"))],
 )
 def test_notebooks(fmu: Path, tmp_path: Path, name: str) -> None:
-    """The cells run in order, use only public names, and print the stored output."""
+    """The cells run in order, use only public names, print the stored output and draw README's picture."""
     notebook = REPOSITORY / "examples" / f"{name}.ipynb"
     cells = [cell for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
     assert not any("._" in "".join(cell["source"]) for cell in cells)
@@ -118,9 +133,11 @@ def test_notebooks(fmu: Path, tmp_path: Path, name: str) -> None:
     (tmp_path / "cells.py").write_text(CELLS, encoding="utf-8")
     shutil.copy(REPOSITORY / "examples" / "fivebar.svg", tmp_path)
     command = [sys.executable, "cells.py", str(notebook)]
-    environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
+    environment = os.environ | {"FIVEBAR_FMU": str(fmu), "PYTHONPATH": str(REPOSITORY / "xtask" / "python" / "site")}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+    for picture in [REPOSITORY / cell["metadata"]["picture"] for cell in cells if "picture" in cell["metadata"]]:
+        assert (tmp_path / picture.name).read_bytes() == picture.read_bytes(), "cargo xtask site --notebooks"
     assert printed and done.stdout == "".join(printed)
     # A page with more would be slow to open.
     assert notebook.stat().st_size < 300_000

@@ -1,4 +1,6 @@
-"""Runs the notebooks of examples/ and stores their outputs in them; `cargo xtask site --notebooks`. The same code gives the same bytes."""
+"""Runs the notebooks of examples/ and stores their outputs in them, and the picture of a notebook that README shows in docs/images/;
+`cargo xtask site --notebooks`. The same code gives the same bytes.
+"""
 
 import shutil
 import tempfile
@@ -6,8 +8,11 @@ from pathlib import Path
 
 import nbformat
 from nbclient import NotebookClient
+from notebook_picture import saving
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
+REPOSITORY = Path(__file__).parents[3]
+
+EXAMPLES = REPOSITORY / "examples"
 
 LARGEST = 300_000
 """Size limit of a notebook with its outputs, bytes."""
@@ -29,11 +34,16 @@ def main() -> None:
 def run(file: Path) -> nbformat.NotebookNode:
     """The notebook with new outputs, run in a folder of its own that has the other files of examples/. An error in a cell is an error here."""
     notebook = nbformat.read(file, as_version=4)
+    sources = [cell.source for cell in notebook.cells]
+    for cell in notebook.cells:
+        if "picture" in cell.metadata:
+            cell.source += saving(str(REPOSITORY / cell.metadata["picture"]))
     with tempfile.TemporaryDirectory() as folder:
         for drawing in EXAMPLES.glob("*.svg"):
             shutil.copy(drawing, folder)
         NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
-    for cell in notebook.cells:
+    for cell, source in zip(notebook.cells, sources, strict=True):
+        cell.source = source
         # Times of the run would differ in each.
         cell.metadata.pop("execution", None)
         for output in cell.get("outputs", ()):
