@@ -166,8 +166,8 @@ def live(picture: re.Match[str]) -> str:
     """The live page in the place of the picture that the README has."""
     return (
         '<figure class="live"><iframe src="live/fivebar.html" title="The live five-bar: drag its tip" allow="clipboard-write"'
-        ' loading="lazy"></iframe><figcaption markdown>The unit itself computes this machine in your browser: drag its tip.'
-        " [Open it alone](live/fivebar.html), [how it works](page.md).</figcaption></figure>"
+        ' loading="lazy"></iframe><figcaption>The unit itself computes this machine in your browser: drag its tip.'
+        ' <a href="live/fivebar.html">Open it alone</a>, <a href="page.html">how it works</a>.</figcaption></figure>'
     )
 
 
