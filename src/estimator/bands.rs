@@ -5,6 +5,7 @@ use nalgebra::{Matrix2, SMatrix, Vector4};
 use super::belief::{Bank, Belief, Member};
 use super::error_state::{FORCE, GEOMETRY};
 use super::filter::Known;
+use super::forecast::Forecast;
 use super::hypotheses::Alternative;
 use super::tangent::{Frame, LinkState, Links, Pair, wrapped};
 use super::tuning::{LEAST_SIGMA, LEAST_TORQUE_DETERMINANT, MODELS};
@@ -30,14 +31,15 @@ impl Estimator {
     /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion. While the assembly of the start is in
     /// doubt, both assemblies have equal weight.
     pub fn sigmas(&self, machine: &Machine, motion: &LinkState) -> [Links; 2] {
-        let own = |motion: &LinkState, known: Known, points: Option<[Links; 2]>| {
+        let own = |motion: &LinkState, known: Known, forecast: Option<&Forecast>| {
             let frame = machine.linkage.frame(&motion.theta);
-            let [angles, rates] = points.unwrap_or_else(|| sigmas(&frame, known.belief));
+            let by_points = forecast.and_then(|forecast| forecast.sigmas(motion, &frame));
+            let [angles, rates] = by_points.unwrap_or_else(|| sigmas(&frame, known.belief));
             let added = by_geometry(machine, (motion, &frame), known, (&frame.basis, &frame.links_by_geometry()));
             let added = mixed(&known.belief.bank, &added);
             [Links::from_fn(|i, _| (angles[i] * angles[i] + added[(i, i)]).max(0.0).sqrt()), rates]
         };
-        let known = own(motion, self.filter.known(), self.forecast.sigmas(motion));
+        let known = own(motion, self.filter.known(), Some(&self.forecast));
         let Some(other) = self.doubt.other() else { return known };
         let off = [(other.motion.theta - motion.theta).map(wrapped), other.motion.omega - motion.omega];
         let beside = own(&other.motion, Known::of(&other.belief), None);

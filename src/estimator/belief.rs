@@ -6,7 +6,7 @@
 //! links' masses.
 
 use borsh::{BorshDeserialize, BorshSerialize};
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Matrix4};
 
 use super::error_state::{
     ERRORS, Error, FORCE, MOVING, Matrix, READINGS, Transition, combine, independent, is_covariance, isolate_force,
@@ -325,6 +325,14 @@ impl Bank {
             for i in 0..MOVING {
                 member.covariance[(i, i)] += variances[i / 2];
             }
+        }
+    }
+
+    /// Adds a covariance of angles and rates to all models.
+    pub(super) fn add(&mut self, covariance: &Matrix4<f64>) {
+        for member in self.active_members() {
+            let mut motion = member.covariance.fixed_view_mut::<4, 4>(0, 0);
+            motion += covariance;
         }
     }
 

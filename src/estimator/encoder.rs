@@ -325,6 +325,11 @@ impl Encoder {
         if self.timing == 0.0 { sigma } else { libm::hypot(sigma, self.timing * rate) }
     }
 
+    /// Macro steps' time since the last valid sample, s; infinite before the first.
+    pub(super) fn time_since_sample(&self) -> f64 {
+        self.time_since_sample
+    }
+
     /// Whether the encoder is silent: no sample for longer than its sampling interval allows.
     pub(super) fn is_silent(&self) -> bool {
         let interval = self.interval.max(self.arrival_interval);

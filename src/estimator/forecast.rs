@@ -2,14 +2,15 @@
 //! motion (Julier and Uhlmann, Proc. IEEE 92 (2004) 401).
 
 use borsh::{BorshDeserialize, BorshSerialize};
-use nalgebra::{Cholesky, Matrix2, Matrix4x2};
+use nalgebra::{Cholesky, Matrix2, Matrix4, Matrix4x2};
 
 use super::belief::Belief;
+use super::commands::{Step, Unknown};
 use super::error_state::{FORCE, MOVING};
 use super::flow::{self, Scene, unit_forces};
-use super::machine::Machine;
+use super::machine::{Machine, Parameters};
 use super::stored;
-use super::tangent::{LinkState, Linkage, Links, Pair, wrapped};
+use super::tangent::{Frame, LinkState, Linkage, Links, Pair, wrapped};
 use super::tuning::{FORECAST_MASS_WALK, LEAST_SIGMA, MOST_CHECKS, MOST_STEPS_OF_POINT};
 
 /// Number of sigma points.
@@ -41,6 +42,8 @@ struct SigmaPoints {
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Forecast {
     sigma_points: Option<SigmaPoints>,
+    /// Errors by commands that are unknown.
+    commands: Option<Unknown>,
 }
 
 impl Point {
@@ -119,7 +122,15 @@ fn root<const N: usize>(p: nalgebra::SMatrix<f64, N, N>) -> nalgebra::SMatrix<f6
 impl Forecast {
     /// Ends the forecast: samples have arrived.
     pub(super) fn end(&mut self) {
-        self.sigma_points = None;
+        (self.sigma_points, self.commands) = (None, None);
+    }
+
+    /// Commands are unknown during a step; before the first one, they had been for `since` seconds. Returns the covariance that the step
+    /// adds to the errors of the motion.
+    pub(super) fn forget_commands<S: Scene>(&mut self, parameters: &Parameters, step: &Step<'_, S>, since: f64) -> Matrix4<f64> {
+        let (unknown, added) = Unknown::after(self.commands, parameters, step, since);
+        self.commands = Some(unknown);
+        added
     }
 
     /// Time update of the sigma points, before the time update of the estimate.
@@ -136,14 +147,21 @@ impl Forecast {
             .step(linkage, scene, &belief.force, over);
     }
 
-    /// Standard deviations of angles, rad, and rates, rad/s, about the estimate.
-    pub(super) fn sigmas(&self, motion: &LinkState) -> Option<[Links; 2]> {
+    /// Standard deviations of angles, rad, and rates, rad/s, about the estimate at a frame.
+    pub(super) fn sigmas(&self, motion: &LinkState, frame: &Frame) -> Option<[Links; 2]> {
         let SigmaPoints { points, .. } = self.sigma_points.as_ref()?;
-        let root_mean = |off: &dyn Fn(&LinkState) -> Links| -> Links {
+        let root_mean = |off: &dyn Fn(&LinkState) -> Links, by_commands: Links| -> Links {
             let squares: Links = points.iter().map(|point| off(&point.motion)).map(|off| off.component_mul(&off)).sum();
-            (squares / POINTS as f64).map(f64::sqrt)
+            (squares / POINTS as f64 + by_commands).map(f64::sqrt)
         };
-        Some([root_mean(&|at| (at.theta - motion.theta).map(wrapped)), root_mean(&|at| at.omega - motion.omega)])
+        let by_commands = |first: usize| {
+            let variances = |unknown: &Unknown| {
+                (frame.basis * unknown.covariance().fixed_view::<2, 2>(first, first) * frame.basis.transpose()).diagonal()
+            };
+            self.commands.as_ref().map_or_else(Links::zeros, variances)
+        };
+        let angles = root_mean(&|at| (at.theta - motion.theta).map(wrapped), by_commands(0));
+        Some([angles, root_mean(&|at| at.omega - motion.omega, by_commands(2))])
     }
 
     /// Covariance of the tip about the estimate, m².
@@ -154,11 +172,16 @@ impl Forecast {
             let off: Pair = linkage.tip(&point.motion.theta) - centre;
             off * off.transpose()
         });
-        Some(squares.sum::<Matrix2<f64>>() / POINTS as f64)
+        let about = squares.sum::<Matrix2<f64>>() / POINTS as f64;
+        let by_commands = |unknown: &Unknown| {
+            let tip = linkage.frame(&motion.theta).tip();
+            about + tip * unknown.covariance().fixed_view::<2, 2>(0, 0) * tip.transpose()
+        };
+        Some(self.commands.as_ref().map_or(about, by_commands))
     }
 
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
-        self.sigma_points.iter().all(|sigma_points| sigma_points.is_sound(linkage))
+        self.sigma_points.iter().all(|sigma_points| sigma_points.is_sound(linkage)) && self.commands.iter().all(Unknown::is_sound)
     }
 
     /// Fraction of sigma points, estimate included, with a change of sign of sin(θ₃ − θ₂) within the horizon, under constant inputs that

@@ -57,6 +57,10 @@ pub struct Parameters {
     pub forecast: Bands,
     /// Torque scale of the unknown force, N·m; 0: the torque that carries the machine's weight.
     pub torque_scale: f64,
+    /// Standard deviation of the change of each commanded motor torque within 0.1 s, N·m; 0: it stays.
+    pub command_scale_tau: [f64; 2],
+    /// Standard deviation of the change of each servo reference within 0.1 s, rad; 0: it stays.
+    pub command_scale_theta: [f64; 2],
     /// Mean time before a model of the bank is replaced, s.
     pub switch_time: f64,
     /// Horizon of the singularity forecast, s.

@@ -12,6 +12,7 @@
 //! | `hypotheses.rs` | the open question about the branch, and the motions that are its possible answers |
 //! | `unaided.rs` | the estimate without an encoder that repeats its reading |
 //! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | reported properties of the estimate: forecast, uncertainty, alarm |
+//! | `commands.rs` | commands that a forecast does not know |
 //! | `doubt.rs` | whether the start is in the right assembly |
 //! | `witness.rs`, `cause.rs` | filter without faults; comparison of the explanations of an alarm |
 //! | `machine.rs`, `tuning.rs` | the estimator's model of the machine, with the master's parameters; tuned constants |
@@ -27,6 +28,7 @@ mod alarm;
 mod bands;
 pub mod belief;
 mod cause;
+mod commands;
 mod doubt;
 mod encoder;
 pub mod error_state;
@@ -640,6 +642,9 @@ impl Estimator {
         if !self.adrift {
             self.filter.predict((&frame, &step), learned.as_ref().filter(|_| known), &noise, (scales, timing), &models);
         }
+        let (mass, force) = (&step.mass, self.filter.belief.force);
+        let by_commands = commands::Step { scene, motion: from, frame: &frame, mass, force: &force, transition: &step.f, h };
+        self.forget_commands(machine, &by_commands);
         for (i, unaided) in self.unaided.iter_mut().enumerate() {
             unaided.predict((&step, &noise), [scale, observable], timing, &self.encoders[1 - i]);
         }
@@ -658,6 +663,18 @@ impl Estimator {
         self.hypotheses.step(machine, (to, &self.filter.belief), scene, (&step, coasts), h);
         self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
         self.alarm.step(h, inertia);
+    }
+
+    /// While no samples arrive, commands are unknown, too: adds the effect of their changes over a step.
+    fn forget_commands<S: Scene>(&mut self, machine: &Machine, step: &commands::Step<'_, S>) {
+        if self.adrift || !commands::may_change(&machine.parameters) || !self.encoders.iter().all(Encoder::is_silent) {
+            return;
+        }
+        // Before the first sample, commands have been known until now.
+        let since = self.encoders.iter().map(Encoder::time_since_sample).fold(f64::INFINITY, f64::min);
+        let since = if since < f64::INFINITY { since } else { 0.0 };
+        let added = self.forecast.forget_commands(&machine.parameters, step, since);
+        self.filter.belief.bank.add(&added);
     }
 
     /// Whether the quantisation interval of an encoder contains more information than white noise.

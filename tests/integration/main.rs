@@ -7,6 +7,7 @@ mod automatic; // the method that chooses its scheme: choice, accuracy in time, 
 mod checks; // checks of each step: every fault found by every kind of step, no motion changed
 mod closure; // starts: closed and consistent, or refused with one message; singular postures distinguished
 mod coaxial; // coaxial motors: branches of the closure, and nearly coaxial machines
+mod commands; // forecasts that do not know the future commands
 mod conserving; // the fixed conserving step: energy, constraints, order, every effect, bounded work
 mod constraints; // Φ and its derivatives against finite differences along real motions
 mod dop853; // the error-controlled explicit method: accuracy, communication points, changing inputs

@@ -280,6 +280,36 @@ def test_rate_jitter_and_lost_samples_are_measured(tmp_path: Path, capsys: pytes
     assert "no measured.theta[1] from 0.99" in text and '"estimator.quantum[1]": 0, "estimator.sigma[1]": ' in text
 
 
+def test_changes_of_commands_are_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A torque that walks at random, and a command that steps by 0.1 rad each second, so that a tenth of its changes within 0.1 s are 0.1 rad."""
+    time = 0.005 * np.arange(20000)
+    walk = np.cumsum(np.random.default_rng(7).normal(0, 0.02 * np.sqrt(0.05), len(time)))
+    moves = [1.2 + 0.3 * np.sin(3 * time), 0.7 - 0.2 * np.sin(5 * time)]
+    head = "time,theta[1],theta[2],tau[1],tau[2],servo.theta[2]"
+    file = write_csv(tmp_path / "a.csv", head, time, *moves, walk, np.ones(len(time)), 0.1 * np.floor(time + 0.5))
+    torque, reference = quality.changes(imported(tmp_path, file))
+    assert (torque.name, reference.name) == ("tau[1]", "servo.theta[2]")
+    # 1,000 independent changes: their root mean square has a standard deviation of 2.2 %.
+    assert torque.size == pytest.approx(0.02, rel=0.09)
+    assert reference.size == pytest.approx(0.1 * np.sqrt(0.1), rel=0.01)
+    text = capsys.readouterr().out
+    assert f"tau[1]: changes by {torque.size:.3g} N.m (rms) within 0.1 s" in text
+    assert f'  "estimator.commandScale.tau[1]": {torque.size:.3g},\n' in text and "tau[2]: changes" not in text
+    assert f'  "estimator.commandScale.theta[2]": {reference.size:.3g},\n' in text
+
+
+def test_no_change_of_a_command_is_counted_across_a_gap(tmp_path: Path) -> None:
+    """Nor from one series to the next."""
+    kept = (GRID < 0.5) | (GRID > 0.9)
+    commands = [0.01 * (GRID > 0.7), 5.0 + 0.01 * (GRID > 0.7)]
+    head = "time,theta[1],theta[2],tau[1]"
+    files = [
+        write_csv(tmp_path / f"{k}.csv", head, GRID[kept], LEFT[kept], RIGHT[kept], command[kept])
+        for k, command in enumerate(commands)
+    ]
+    assert quality.changes(imported(tmp_path, *files)) == []
+
+
 # --- records that others read -------------------------------------------------------------------------------------------------------
 
 

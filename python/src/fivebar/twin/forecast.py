@@ -32,6 +32,9 @@ DETERMINANTS: Final = {"direct": "singular.detJx", "inverse": "singular.detJq"}
 PATH: Final = ("tip.x", "tip.y", RADIUS, *ANGLES)
 """Outputs that are kept at each point of the path."""
 
+SCALES: Final = tuple(f"estimator.commandScale.{name}[{i}]" for name in ("tau", "theta") for i in (1, 2))
+"""Parameters that widen a forecast by commands that it does not know."""
+
 SEEN: Final = (*DETERMINANTS.values(), *ANGLES)
 """Outputs in which the path is searched for singularities and stops."""
 
@@ -67,8 +70,12 @@ class Forecaster(Rider):
     def run(self, state: Message, stopped: Callable[[], bool] = lambda: False) -> Message | None:
         """Computes the forecast from a state of the twin; None if it was stopped."""
         setup, unit = self.setup, self.unit
-        content, begin, book, _ = stored(state)
+        content, begin, book, parameters = stored(state)
         unit.restore(content, begin)
+        scales = setup.values | parameters
+        if book.on_plan and any(scales.get(name) for name in SCALES):
+            # The plan says which commands follow.
+            unit.update(dict.fromkeys(SCALES, 0.0))
         if self.made % PROBABILITY_EVERY == 0:
             self.singular = unit[PROBABILITY]
         self.made += 1

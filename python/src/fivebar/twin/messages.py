@@ -50,6 +50,7 @@ SCHEMA: Final[dict[str, Any]] = json.loads(SCHEMA_FILE.read_text(encoding="utf-8
 
 SERVOS: Final = ("servo.theta[1]", "servo.theta[2]")
 
+TORQUES: Final = ("tau[1]", "tau[2]")
 INPUTS: Final = (*SERVOS, *(f"{name}[{i}]" for name in ("servo.omega", "tau") for i in (1, 2)))
 """Drive commands: fields of `meas` that the twin passes to its unit."""
 

@@ -19,7 +19,8 @@ def run(files: Sequence[Path], map_file: Path | None, scene: str | None, record:
         raise FiveBarError(f"the record is {record}; a name that ends in .csv is needed")
     given = maps.read(map_file) if map_file else maps.Map()
     found, used = assemble.recorded(files, given)
-    lines = [*_summary(found, used, quality.measure(found)), *(guess.lines(found, used, scene) if scene else [])]
+    figures = (quality.measure(found), quality.changes(found))
+    lines = [*_summary(found, used, *figures), *(guess.lines(found, used, scene) if scene else [])]
     record.parent.mkdir(parents=True, exist_ok=True)
     assemble.write(found, record)
     print("\n".join(lines))
@@ -27,7 +28,9 @@ def run(files: Sequence[Path], map_file: Path | None, scene: str | None, record:
     return 0
 
 
-def _summary(found: Recording, used: maps.Map, figures: list[quality.Quality]) -> list[str]:
+def _summary(
+    found: Recording, used: maps.Map, figures: list[quality.Quality], changes: list[quality.Changes]
+) -> list[str]:
     """Lines about the content of the record."""
     lines = [f"{len(found.time)} rows, {found.time[-1]:.4g} s, {len(found.begins) + 1} series of {found.source}"]
     lines += [f"  {name} from {entry.column}" for name, entry in used.entries.items()]
@@ -39,6 +42,7 @@ def _summary(found: Recording, used: maps.Map, figures: list[quality.Quality]) -
             lines.append(f"  no {each.name} from {at:.3f} s on for {length:.3g} s: another series")
         if len(long) > SHOWN:
             lines.append(f"  and {len(long) - SHOWN} more")
+    lines += [each.sentence() for each in changes]
     lines.append("for a scene of this machine:")
-    lines += [f"  {each.lines()}," for each in figures]
+    lines += [f"  {text}," for text in (*(each.lines() for each in figures), *(each.lines() for each in changes))]
     return lines

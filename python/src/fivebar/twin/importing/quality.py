@@ -1,4 +1,5 @@
-"""Quality of an encoder's samples: rate, jitter, lost samples, resolution and noise, and the lines for a scene that configure the estimator."""
+"""Quality of an encoder's samples: rate, jitter, lost samples, resolution and noise; how fast commands change; and the lines for a scene that
+configure the estimator."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -6,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from fivebar.twin.messages import MEASURED, SERVOS
+from fivebar.twin.messages import MEASURED, SERVOS, TORQUES
 from fivebar.twin.recording import Array, Recording
 
 WINDOW: Final = 50
@@ -26,6 +27,16 @@ STILL: Final = 20
 
 LOST: Final = 1.5
 """A longer distance than this number of median steps means a missing sample."""
+
+
+WITHIN: Final = 0.1
+"""Time within which the changes of a command are measured, s: the time that `estimator.commandScale` refers to."""
+
+SCALES: Final = {
+    **{name: (f"estimator.commandScale.tau{name[-3:]}", "N.m") for name in TORQUES},
+    **{name: (f"estimator.commandScale.theta{name[-3:]}", "rad") for name in SERVOS},
+}
+"""Parameter of the unit for the changes of each command, with its unit."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +81,50 @@ class Quality:
 
     def lines(self) -> str:
         """Lines for a scene about the encoder."""
-        return ", ".join(f'"{name}": {value:g}' for name, value in self.settings().items())
+        return _lines(self.settings())
+
+
+@dataclass(frozen=True)
+class Changes:
+    """How fast a command changes."""
+
+    name: str
+    size: float
+    """Root mean square of its changes within 0.1 s, N·m or rad."""
+
+    def sentence(self) -> str:
+        """The figure in one line."""
+        return f"{self.name}: changes by {self.size:.3g} {SCALES[self.name][1]} (rms) within {WITHIN:g} s"
+
+    def lines(self) -> str:
+        """The line for a scene about the command."""
+        return _lines({SCALES[self.name][0]: float(f"{self.size:.3g}")})
+
+
+def _lines(settings: dict[str, float]) -> str:
+    return ", ".join(f'"{name}": {value:g}' for name, value in settings.items())
+
+
+def changes(given: Recording) -> list[Changes]:
+    """Measures the changes of each command that changes."""
+    found = [Changes(name, _change(given, name)) for name in SCALES if name in given.columns]
+    return [each for each in found if each.size > 0]
+
+
+def _change(given: Recording, name: str) -> float:
+    """Root mean square of the changes of a command within `WITHIN`, 0 if the record is shorter. No change is counted across a gap."""
+    squares = []
+    for begin, end in pairwise((0, *given.begins, len(given.time))):
+        known = begin + np.flatnonzero(np.isfinite(given.columns[name][begin:end]))
+        time, value = given.time[known], given.columns[name][known]
+        if len(time) < 2:
+            continue
+        after = time + WITHIN
+        last = np.searchsorted(time, after * (1 + 1e-12), side="right") - 1
+        covered = after - time[last] < LOST * float(np.median(np.diff(time)))
+        squares.append(((value[last] - value)[covered & (after <= time[-1])]) ** 2)
+    every = np.concatenate(squares) if squares else np.empty(0)
+    return float(np.sqrt(np.mean(every))) if len(every) else 0.0
 
 
 def measure(given: Recording) -> list[Quality]:
