@@ -145,9 +145,8 @@ class Instance:
         ...     unit.get("tau[2]", "tip.fy")
         (0.02, -0.1)
         """
-        # Fast path for the inputs of every step: floats of single variables.
-        floats = type(values) is dict and all(type(value) is float for value in values.values())
-        if floats and (reals := self.library.reals(tuple(values))):
+        # Fast path for the inputs of every step.
+        if _are_floats(values) and (reals := self.library.reals(tuple(values))):
             self.write(reals, values.values())
             return
         numbers = self._elements(values)
@@ -506,6 +505,10 @@ class Unit(Instance):
         ...     unit["tau[1]"]
         0.005
         """
+        # Fast path for the rates of every step.
+        if _are_floats(rates) and (inputs := self.library.reals(tuple(rates), inputs=True)):
+            self.write_rates(inputs, rates.values())
+            return
         numbers = self._elements(rates)
         for name in numbers:
             if (found := self.library.known[name]).type != "Real" or found.causality != "input":
@@ -816,6 +819,11 @@ class State:
         content = create_string_buffer(size.value)
         self._unit.call("fmi2SerializeFMUstate", self._handle, content, size)
         return content.raw
+
+
+def _are_floats(values: Any) -> bool:
+    """Whether these are floats by name, which need no conversion."""
+    return type(values) is dict and all(type(value) is float for value in values.values())
 
 
 def _numbers(name: str, elements: Sequence[Variable], given: Any) -> list[Value]:

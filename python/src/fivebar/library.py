@@ -84,7 +84,7 @@ class Library:
         self.model: ModelDescription = fmpy.read_model_description(self.directory, validate=False)
         self.variables: dict[str, ScalarVariable] = {v.name: v for v in self.model.modelVariables}
         self._blocks: dict[tuple[str, ...], tuple[Block, ...]] = {}
-        self._reals: dict[tuple[str, ...], Block | None] = {}
+        self._reals: dict[tuple[tuple[str, ...], bool], Block | None] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Unpickling extracts and loads the unit again."""
@@ -169,12 +169,13 @@ class Library:
             found = self._blocks[names] = tuple(self._by_type(names))
         return found
 
-    def reals(self, names: tuple[str, ...]) -> Block | None:
-        """The block of these names if all are Real variables and none is an array, otherwise None."""
-        if names not in self._reals:
-            are_real = bool(names) and all(name in self.known and self.known[name].type == "Real" for name in names)
-            self._reals[names] = self.blocks(names)[0] if are_real else None
-        return self._reals[names]
+    def reals(self, names: tuple[str, ...], inputs: bool = False) -> Block | None:
+        """The block of these names if all are Real variables, or Real `inputs`, and none is an array, otherwise None."""
+        if (names, inputs) not in self._reals:
+            found = [self.known.get(name) for name in names]
+            fit = [v is not None and v.type == "Real" and (v.causality == "input" or not inputs) for v in found]
+            self._reals[names, inputs] = self.blocks(names)[0] if fit and all(fit) else None
+        return self._reals[names, inputs]
 
     def _by_type(self, names: tuple[str, ...]) -> Iterable[Block]:
         variables = [self.variable(name) for name in names]

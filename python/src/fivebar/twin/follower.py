@@ -8,7 +8,9 @@ beginning of a step, and its outputs change only in steps: an estimate is for on
 import base64
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 from fivebar.errors import UnitError
@@ -17,7 +19,7 @@ from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import turn
 from fivebar.twin.errors import TwinError
-from fivebar.twin.messages import INPUTS, MEASURED, SCHEMA, Message
+from fivebar.twin.messages import INPUTS, MEASURED, SCHEMA, SERVOS, Message
 from fivebar.twin.setup import Setup
 
 DEPTH: Final = 20
@@ -34,6 +36,12 @@ NOT_FITTING: Final = (7.0, 8.0)
 """Values of `estimated.status`: inconsistent and rejected."""
 
 LEGS: Final = (1, 2)
+RATES: Final = {name: name.replace("theta", "omega") for name in SERVOS}
+"""Command for the rate of each commanded angle, by the command of the angle."""
+
+PLANNED: Final = 1024
+"""Samples of the plan kept in memory. Forecasts start every few samples, so that most of their plan is that of the last one."""
+
 STAMPS: Final = {name: name.replace("theta", "time") for name in MEASURED}
 """Input for the time of each measured angle, by the input of the angle."""
 
@@ -112,6 +120,8 @@ class Rider:
     def __init__(self, library: Library, setup: Setup, name: str):
         self.setup = setup
         self.unit = Unit.of(library, name)
+        self.plan = lru_cache(PLANNED)(lambda seq: setup.scene.commands_at(seq * setup.period))
+        """Drive commands of the scene at a sample number, as true angles. Do not change them."""
 
     def hold(self, book: Book) -> None:
         """Sets the commands at the unit's time: the value of each sample, extrapolated with its rate until the next sample."""
@@ -120,10 +130,10 @@ class Rider:
         since = unit.time - book.clock - passed * setup.period
         commands = book.told
         if passed and book.on_plan:
-            commands = setup.scene.commands_at((book.seq + passed) * setup.period)
+            commands = self.plan(book.seq + passed)
         values, slopes = {}, {}
         for name, value in commands.items():
-            rate = commands.get(name.replace("theta", "omega"), 0.0) if name.startswith("servo.theta") else 0.0
+            rate = commands.get(RATES[name], 0.0) if name in RATES else 0.0
             if passed and not book.on_plan:
                 # Without a plan, the drives are assumed to stop at the end of the last command.
                 value, rate = (0.0 if name.startswith("servo.omega") else value + rate * setup.period), 0.0
@@ -131,13 +141,14 @@ class Rider:
         unit.update(values)
         unit.ramp(slopes)
 
-    def coast(self, book: Book, until: float) -> None:
-        """Runs to a time, s, without new samples."""
+    def coast(self, book: Book, until: float) -> Iterator[float]:
+        """Runs to a time, s, without new samples. Yields the time after each step; a step ends where the next sample would be."""
         while self.unit.time < until - 1e-9:
             passed = math.floor((self.unit.time - book.clock) / self.setup.period + 1e-6)
             following = book.clock + (passed + 1) * self.setup.period
             self.hold(book)
             self.unit.step_to(following if following < until - 1e-9 else until)
+            yield self.unit.time
 
 
 class _Done(NamedTuple):
@@ -344,10 +355,11 @@ class Follower(Rider):
             self.jumps += 1
         fields = self.setup.scene.true(message.fields)
         commands = {name: value for name, value in fields.items() if name in INPUTS}
-        plan = self.setup.scene.commands_at(message.seq * self.setup.period)
+        plan = self.plan(message.seq)
         on_plan = commands.keys() == plan.keys() and all(abs(commands[name] - plan[name]) < 1e-6 for name in plan)
         following = replace(book, time=message.time, seq=message.seq, told=commands, on_plan=on_plan)
-        self.coast(self.book, following.clock)
+        for _ in self.coast(self.book, following.clock):
+            pass
         seen = [name for name in MEASURED if name in fields]
         self.unit.update(
             {name: fields[name] + turn.TURN * following.turns.get(name, 0.0) for name in seen}

@@ -35,9 +35,6 @@ PATH: Final = ("tip.x", "tip.y", RADIUS, *ANGLES)
 SCALES: Final = tuple(f"estimator.commandScale.{name}[{i}]" for name in ("tau", "theta") for i in (1, 2))
 """Parameters that widen a forecast by commands that it does not know."""
 
-SEEN: Final = (*DETERMINANTS.values(), *ANGLES)
-"""Outputs in which the path is searched for singularities and stops."""
-
 
 def half_width(cov: tuple[float, float, float]) -> float:
     """Major half-axis of the 95 % ellipse, m, for a covariance xx, xy, yy in m²."""
@@ -59,6 +56,8 @@ class Forecaster(Rider):
     def __init__(self, library: Library, setup: Setup):
         super().__init__(library, setup, "forecast")
         self.stops: dict[str, tuple[str, float, float]] = {}
+        self.seen: tuple[str, ...] = tuple(DETERMINANTS.values())
+        """Outputs in which the path is searched for singularities and stops."""
         self.made = 0
         self.singular = 0.0
         if setup.values.get("stop.enabled"):
@@ -66,6 +65,7 @@ class Forecaster(Rider):
             for name, (i, limit) in limits.items():
                 value = float(setup.values.get(name, library.variable(name).start))
                 self.stops[f"{limit}[{i}]"] = (f"theta[{i}]", value, 1.0 if limit == "upper" else -1.0)
+            self.seen += ANGLES
 
     def run(self, state: Message, stopped: Callable[[], bool] = lambda: False) -> Message | None:
         """Computes the forecast from a state of the twin; None if it was stopped."""
@@ -80,25 +80,22 @@ class Forecaster(Rider):
             self.singular = unit[PROBABILITY]
         self.made += 1
         probability = self.singular
-        begin_seen = before = unit.floats(SEEN)
+        before = unit.floats(self.seen)
         path: dict[str, list[float]] = {name: [] for name in ("ahead", *PATH)}
         singular: dict[str, Any] = {"probability": probability, "time": None, "type": "none"}
-        stop: dict[str, Any] = {"probability": self._stop_probability(begin_seen), "time": None, "at": "none"}
-        pieces = max(1, round(setup.horizon / setup.period))
-        for piece in range(1, pieces + 1):
-            if stopped():
-                return None
-            now = begin + setup.horizon * (piece - 1) / pieces
-            unit_time = begin + setup.horizon * piece / pieces
-            self.coast(book, unit_time)
-            after = unit.floats(SEEN)
-            self._meets(singular, stop, before, after, now - begin, unit_time - now, book)
-            stop["probability"] = max(stop["probability"], self._stop_probability(after))
-            before = after
-            if piece * POINTS // pieces > (piece - 1) * POINTS // pieces:
-                path["ahead"].append(round(unit_time - begin, 9))
-                for name, value in unit.floats(PATH).items():
-                    path[name].append(value)
+        stop: dict[str, Any] = {"probability": self._stop_probability(before), "time": None, "at": "none"}
+        now = begin
+        for point in range(1, POINTS + 1):
+            for then in self.coast(book, begin + setup.horizon * point / POINTS):
+                if stopped():
+                    return None
+                after = unit.floats(self.seen)
+                self._meets(singular, stop, before, after, now - begin, then - now, book)
+                stop["probability"] = max(stop["probability"], self._stop_probability(after))
+                now, before = then, after
+            path["ahead"].append(round(now - begin, 9))
+            for name, value in unit.floats(PATH).items():
+                path[name].append(value)
         fields = {name: values[-1] for name, values in path.items() if name != "ahead"}
         fields |= {PROBABILITY: probability}
         if not all(math.isfinite(x) for values in path.values() for x in values) or not math.isfinite(probability):

@@ -43,6 +43,8 @@ class Worker(ABC):
     def __init__(self, config: Config):
         self.config = config
         self.send: Callable[[str, bytes], bool] = self._not_yet
+        self.decode: Callable[[str, bytes], Message] = decode
+        """Decodes and checks a message."""
         self.keep: Callable[[Path, bytes], None] = replace_file
         """Replaces a file."""
         self.hear_others: Callable[[bool], None] = self._nobody
@@ -61,7 +63,7 @@ class Worker(ABC):
     def received(self, topic: str, payload: bytes, now: int) -> None:
         """Handles a received message at a time in ns, or refuses it with one line in the log."""
         try:
-            message = decode(topic, payload)
+            message = self.decode(topic, payload)
             if message.kind not in self.kinds:
                 raise Refused(f"{topic[:100]!r} is not for this process")
             if message.unit != self.config.unit:
