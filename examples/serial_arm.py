@@ -16,27 +16,30 @@ import numpy as np
 
 from fivebar import table
 
-RIGHT = 3.0 + 0.35j  # axis of the right motor, m, from the shoulder; x is horizontal
-LINK_3, LINK_4 = 3.0, 0.7  # m
-TURNED = np.angle(RIGHT)  # rad: the x axis of the unit passes through both motors
+BASE = 1.0  # m: axis of the right motor beside the shoulder
+LINK_2, LINK_3, LINK_4 = (
+    3.0,
+    1.2,
+    3.06,
+)  # m: nearly a parallelogram, so that the right motor turns almost as link 2 does
 LIGHT = 1e-5  # kg
 STEP = 2 * np.pi / 2**14  # rad: resolution of the arm's encoders
-SMALLEST = 0.02  # smallest |b|: near a direct singularity the right motor cannot replace the elbow motor
 
 
 def columns(file, arm):
     """Columns of a run. The arm measures angles from hanging down, and its elbow angle relative to link 1."""
     given = np.genfromtxt(file, delimiter=",", names=True)
-    theta1 = given["pos_meas1"] - np.pi / 2 - TURNED
+    theta1 = given["pos_meas1"] - np.pi / 2
     theta2 = theta1 + given["pos_meas2"]
-    tip = arm["l1"] * np.exp(1j * theta1) + arm["l2"] * np.exp(1j * theta2) - abs(RIGHT)
-    theta4 = np.unwrap(np.angle(tip) - np.arccos((LINK_4**2 + abs(tip) ** 2 - LINK_3**2) / (2 * LINK_4 * abs(tip))))
+    tip = arm["l1"] * np.exp(1j * theta1) + LINK_2 * np.exp(1j * theta2) - BASE
+    theta4 = np.unwrap(np.angle(tip) + np.arccos((LINK_4**2 + abs(tip) ** 2 - LINK_3**2) / (2 * LINK_4 * abs(tip))))
     theta3 = np.angle(tip - LINK_4 * np.exp(1j * theta4))
-    # Rates obey theta4' = a theta1' + b theta2'. Both pairs of motors have equal power. The arm's elbow motor turns with link 1.
+    # Rates obey theta4' = a theta1' + b theta2'. Both pairs of motors have equal power:
+    # shoulder theta1' + elbow (theta2' - theta1') = left theta1' + right theta4'.
     a = arm["l1"] * np.sin(theta3 - theta1) / (LINK_4 * np.sin(theta3 - theta4))
-    b = arm["l2"] * np.sin(theta3 - theta2) / (LINK_4 * np.sin(theta3 - theta4))
-    shoulder, elbow = given["tau_meas1"], given["tau_meas2"]
-    right = elbow / np.copysign(np.maximum(np.abs(b), SMALLEST), b)
+    b = LINK_2 * np.sin(theta3 - theta2) / (LINK_4 * np.sin(theta3 - theta4))
+    shoulder, elbow = given["tau_con1"], given["tau_con2"]
+    right = elbow / b
     motors = {"tau[1]": shoulder - elbow - a * right, "tau[2]": right}
     return {"time": given["time"], "measured.theta[1]": theta1, "measured.theta[2]": theta4} | motors
 
@@ -46,11 +49,11 @@ def scene(arm, first):
     values = {
         "description": "A serial arm with two joints as a five-bar.",
         "experiment": {"stopTime": 10, "stepSize": 0.002},
-        "base.distance": abs(RIGHT),
-        "gravity.direction": -np.pi / 2 - TURNED,
+        "base.distance": BASE,
+        "gravity.direction": -np.pi / 2,
         "init.theta[1]": first["measured.theta[1]"],
         "init.theta[2]": first["measured.theta[2]"],
-        "init.assembly": "minus",
+        "init.assembly": "plus",
         "rotor.enabled": True,
         "rotor.inertia[1]": arm["Ir"],
         "rotor.gearRatio[1]": arm["gr"],
@@ -62,7 +65,8 @@ def scene(arm, first):
         "estimator.sigma[2]": STEP / 2,
     }
     links = [
-        (arm[f"l{i}"], arm[f"m{i}"], arm[f"r{i}"], arm[f"I{i}"] - arm[f"m{i}"] * arm[f"r{i}"] ** 2) for i in (1, 2)
+        (length, arm[f"m{i}"], arm[f"r{i}"], arm[f"I{i}"] - arm[f"m{i}"] * arm[f"r{i}"] ** 2)
+        for i, length in ((1, arm["l1"]), (2, LINK_2))
     ]
     links += [(length, LIGHT, length / 2, LIGHT * length**2 / 12) for length in (LINK_3, LINK_4)]
     for i, link in enumerate(links, 1):

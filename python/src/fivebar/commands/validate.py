@@ -16,9 +16,12 @@ from fivebar.commands import options
     metavar="SCENE|FILE",
     help="The machine, with its known parameters and encoders.",
 )
+@click.option(
+    "--known-commands", is_flag=True, help="Forecasts know the later commands of the record, as a planner does."
+)
 @options.fmu()
 @options.out("./validate/")
-def validate(record: Path, scene: str, fmu: Path | None, out: Path | None) -> int:
+def validate(record: Path, scene: str, known_commands: bool, fmu: Path | None, out: Path | None) -> int:
     """Judge the twin on a recording of a machine.
 
     RECORD is a table with time (s), measured.theta[1..2] (rad) and, as far as known, commands (servo.theta, servo.omega, tau) and the tip (tip.x, tip.y).
@@ -33,4 +36,4 @@ def validate(record: Path, scene: str, fmu: Path | None, out: Path | None) -> in
     from fivebar import shipped
     from fivebar.twin import validate as work
 
-    return work.run(work.Options(record, scene, fmu or shipped.unit(), out or Path("validate")))
+    return work.run(work.Options(record, scene, fmu or shipped.unit(), out or Path("validate"), known_commands))

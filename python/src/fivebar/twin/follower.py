@@ -8,7 +8,7 @@ beginning of a step, and its outputs change only in steps: an estimate is for on
 import base64
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
@@ -122,6 +122,8 @@ class Rider:
         self.unit = Unit.of(library, name)
         self.plan = lru_cache(PLANNED)(lambda seq: setup.scene.commands_at(seq * setup.period))
         """Drive commands of the scene at a sample number, as true angles. Do not change them."""
+        self.known: Callable[[int], dict[str, float]] | None = None
+        """Commands of later samples by their numbers, as true angles, if they are known."""
 
     def hold(self, book: Book) -> None:
         """Sets the commands at the unit's time: the value of each sample, extrapolated with its rate until the next sample."""
@@ -129,12 +131,13 @@ class Rider:
         passed = max(0, math.floor((unit.time - book.clock) / setup.period + 1e-6))
         since = unit.time - book.clock - passed * setup.period
         commands = book.told
-        if passed and book.on_plan:
-            commands = self.plan(book.seq + passed)
+        goes_on = self.known is not None or book.on_plan
+        if passed and goes_on:
+            commands = (self.known or self.plan)(book.seq + passed)
         values, slopes = {}, {}
         for name, value in commands.items():
             rate = commands.get(RATES[name], 0.0) if name in RATES else 0.0
-            if passed and not book.on_plan:
+            if passed and not goes_on:
                 # Without a plan, the drives are assumed to stop at the end of the last command.
                 value, rate = (0.0 if name.startswith("servo.omega") else value + rate * setup.period), 0.0
             values[name], slopes[name] = value + rate * since, rate

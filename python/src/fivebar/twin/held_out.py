@@ -128,6 +128,9 @@ class HeldOut:
     delay: float | None = None
     """Delay from a command to the angle, s; None without commands."""
 
+    known_commands: bool = False
+    """Whether forecasts and the last command as a predictor know the commands of their time."""
+
     not_judged: list[str] = field(default_factory=list)
     """Sentences about quantities that could not be judged."""
 
@@ -144,6 +147,7 @@ class HeldOut:
                 for each in self.forecasts
             },
             "command_delay_s": self.delay,
+            "known_commands": self.known_commands,
             "not_judged": self.not_judged,
         }
         return found | {"missed": self.missed()}
@@ -203,12 +207,12 @@ class Series(NamedTuple):
         return known
 
 
-def judge(config: Config, story: Story) -> HeldOut:
-    """Judges the predictions in a run's record."""
+def judge(config: Config, story: Story, known_commands: bool = False) -> HeldOut:
+    """Judges the predictions in a run's record, which forecasts made with or without the commands of their time."""
     about = scene.read(Path(config.scene))
     encoders = setup.encoders(config.machine, about.values)
     sigma, quantum = (np.array([encoders[f"estimator.{name}[{i}]"] for i in (1, 2)]) for name in ("sigma", "quantum"))
-    found = HeldOut(noise=np.hypot(sigma, quantum / math.sqrt(12)))
+    found = HeldOut(noise=np.hypot(sigma, quantum / math.sqrt(12)), known_commands=known_commands)
     series = _series(story, np.array([about.offsets.get(name, 0.0) for name in OFFSETS]))
     delay = _delay(series)
     found.delay = None if delay is None else or_none(delay)
@@ -217,7 +221,7 @@ def judge(config: Config, story: Story) -> HeldOut:
         found.samples = sum(int((each.time >= each.begin).sum()) for each in series)
         found.innovations = Errors(*_joined([_innovations(story, each) for each in series]))
         for place in JUDGED:
-            found.forecasts += _forecasts(story, series, place, found.noise, delay)
+            found.forecasts += _forecasts(story, series, place, found)
     found.not_judged += _not_judged(story, found)
     for i in range(2):
         spans = [np.ptp(known) for each in series if len(known := each.held_out(i))]
@@ -301,11 +305,11 @@ def _newest(time: Array, at: Array) -> NDArray[np.intp]:
     return np.maximum(np.searchsorted(time, at + 1e-6, side="right") - 1, 0)
 
 
-def _forecasts(story: Story, series: list[Series], place: int, noise: Array, delay: float | None) -> list[Forecasts]:
+def _forecasts(story: Story, series: list[Series], place: int, found: HeldOut) -> list[Forecasts]:
     """Forecasts of one point of the path, if there are any."""
     path = {name: column[place::POINTS] for name, column in story.forecasts.all().items()}
-    parts = [_of_series(story, path, each, noise, delay) for each in series]
-    names = ("hold", "constant velocity", *(("last command",) if delay is not None else ()))
+    parts = [_of_series(story, path, each, found) for each in series]
+    names = ("hold", "constant velocity", *(("last command",) if found.delay is not None else ()))
     time, error, half_width, *others = _joined(parts)
     if not len(time):
         return []
@@ -315,10 +319,9 @@ def _forecasts(story: Story, series: list[Series], place: int, noise: Array, del
     return [Forecasts(float(np.median(path["ahead"])), errors, half_width, dict(zip(names, others, strict=True)))]
 
 
-def _of_series(
-    story: Story, path: dict[str, Array], series: Series, noise: Array, delay: float | None
-) -> tuple[Array, ...]:
+def _of_series(story: Story, path: dict[str, Array], series: Series, found: HeldOut) -> tuple[Array, ...]:
     """Times, errors, half-widths and errors of other predictors for the forecasts that begin in the held-out part of a series."""
+    noise, delay = found.noise, found.delay
     rows = np.flatnonzero((path["time"] >= series.begin) & (path["time"] <= series.time[-1]))
     begin, at = path["time"][rows], (path["time"] + path["ahead"])[rows]
     order = np.argsort(story.estimated["time"], kind="stable")
@@ -339,7 +342,8 @@ def _of_series(
         half_width = WIDTH * np.hypot(path[f"estimated.theta.sigma[{i + 1}]"][rows], noise[i])
         predicted = [own, angle[newest], angle[newest] + _rates(time, angle)[newest] * (at - time[newest])]
         if delay is not None:
-            predicted.append(np.interp(np.minimum(sample, at - delay), series.time, series.commands[:, i]))
+            newest_known = at - delay if found.known_commands else np.minimum(sample, at - delay)
+            predicted.append(np.interp(newest_known, series.time, series.commands[:, i]))
         error = np.array(predicted) - truth(at)
         # All predictors are compared on the same readings.
         error[:, ~np.isfinite(error).all(axis=0)] = np.nan
@@ -390,7 +394,8 @@ def lines(content: dict[str, Any]) -> list[str]:
     delay = content["command_delay_s"]
     found = [
         f"held out: {content['samples']} samples, {number(content['seconds'])} s in {content['series']} series"
-        + ("" if delay is None else f"; commands arrive after {1e3 * delay:.3g} ms"),
+        + ("" if delay is None else f"; commands arrive after {1e3 * delay:.3g} ms")
+        + ("; forecasts know the later commands" if content["known_commands"] else ""),
         f"  {'errors, mrad':26}{'1 median':>9}{'rms':>9}{'2 median':>9}{'rms':>9}{'inside %':>9}{'width':>9}",
         row("innovations", content["innovations"]),
     ]

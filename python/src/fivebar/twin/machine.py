@@ -11,6 +11,7 @@ import math
 import random
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -179,6 +180,16 @@ class Player:
             if any(name in fields for name in MEASURED):
                 return Message("meas", self.config.unit, self.start_ns + int(self.times[row]), seq, fields)
         return None
+
+    def commands(self, about: scene.Scene) -> Callable[[int], dict[str, float]]:
+        """Commands of each sample by its number, as true angles. A command stays until the next sample, and after the last one of a series."""
+        columns = {name: column for name, column in self.recording.columns.items() if name in INPUTS}
+
+        def told(seq: int) -> dict[str, float]:
+            row = max(0, int(np.searchsorted(self.numbers, seq, side="right")) - 1)
+            return about.true({name: float(column[row]) for name, column in columns.items()})
+
+        return told
 
     def close(self) -> None:
         """Does nothing: a player has no open resources."""

@@ -17,6 +17,7 @@ from fivebar.library import Library
 from fivebar.twin import figures, held_out, scene, starter, summary
 from fivebar.twin.ahead import Ahead
 from fivebar.twin.config import Config
+from fivebar.twin.errors import TwinError
 from fivebar.twin.follow import Twin
 from fivebar.twin.held_out import Errors, HeldOut
 from fivebar.twin.machine import Player
@@ -40,6 +41,8 @@ class Options:
     scene: str | Path
     fmu: Path
     out: Path
+    known_commands: bool = False
+    """Whether forecasts know the commands that the record has for their time."""
 
 
 def run(options: Options) -> int:
@@ -47,7 +50,7 @@ def run(options: Options) -> int:
     with tempfile.TemporaryDirectory() as folder:
         config = starter.configure(_of_recording(options), Path(folder))
         starter.check_followed(config, True)
-        content, judged = follow(config)
+        content, judged = follow(config, options.known_commands)
     content = {"record": str(options.record)} | content
     options.out.mkdir(parents=True, exist_ok=True)
     files = _write(options.out, content, judged)
@@ -76,8 +79,10 @@ def _of_recording(options: Options) -> starter.Options:
     )
 
 
-def follow(config: Config) -> tuple[dict[str, Any], HeldOut]:
-    """Plays the recording to twin, forecasts and watch; returns the figures, and the errors from which they are computed."""
+def follow(config: Config, known_commands: bool = False) -> tuple[dict[str, Any], HeldOut]:
+    """Plays the recording to twin, forecasts and watch; returns the figures, and the errors from which they are computed.
+
+    With `known_commands`, forecasts follow the recorded commands of their time. Otherwise they know the plan of the scene or none."""
     library = Library(Path(config.fmu))
     try:
         twin, ahead, watch, recorder = (
@@ -89,6 +94,13 @@ def follow(config: Config) -> tuple[dict[str, Any], HeldOut]:
         recorder.about = twin.setup.to_message(config.unit, BEGIN)
         wire, source = Wire(config, twin, ahead, watch, recorder), Player(config)
         source.start_ns = BEGIN
+        commanded = [name for name in INPUTS if name in source.recording.columns]
+        if known_commands:
+            if not commanded:
+                raise TwinError(
+                    f"{config.machine.csv} has no commands that forecasts could know; servo.theta, servo.omega or tau is needed"
+                )
+            ahead.forecaster.known = source.commands(scene.read(Path(config.scene)))
         count = 0
         while (sample := source.next()) is not None:
             wire.send("meas", encode(sample))
@@ -101,9 +113,9 @@ def follow(config: Config) -> tuple[dict[str, Any], HeldOut]:
     story = figures.read(config.record)
     status = {worker.name: [{"refused": worker.refused, **worker.status()}] for worker in wire.workers}
     whole = figures.summarise(config, story, figures.judge(story), status, {})
-    judged = held_out.judge(config, story)
+    judged = held_out.judge(config, story, known_commands)
     part = judged.content()
-    if not any(name in source.recording.columns for name in INPUTS):
+    if not commanded:
         part["not_judged"].append(
             "the drives: the record has no commands, so that all drive torques are unknown forces for the twin"
         )
