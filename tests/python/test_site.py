@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,13 @@ def test_all_markdown_is_read(site: Path) -> None:
                 r"<(pre|script|style|code(?!>math))\b.*?</\1>", "", page.read_text(encoding="utf-8"), flags=re.DOTALL
             )
             assert left.findall(text) == [], page.name
+
+
+@pytest.mark.nightly
+def test_a_wheel_has_room_for_it(site: Path) -> None:
+    """Packed, it has at most 4 MB, the limit for what a wheel carries along."""
+    packed = sum(len(zlib.compress(file.read_bytes())) for file in site.rglob("*") if file.is_file())
+    assert 1_000_000 < packed < 4_000_000
 
 
 @pytest.fixture(scope="module")
