@@ -23,8 +23,8 @@ from fivebar.twin.soak import configured, machine
 
 Columns = dict[str, np.ndarray]
 
-Judge = Callable[[Columns, object], tuple[int, dict]]
-"""Validates a record against a scene; exit code and content of `validation.json`."""
+Judge = Callable[..., tuple[int, dict]]
+"""Validates a record against a scene, with further words of the command; exit code and content of `validation.json`."""
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +41,13 @@ def swing(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Columns:
 
 @pytest.fixture
 def judge(fmu: Path, tmp_path: Path) -> Judge:
-    def run(columns: Columns, given: object) -> tuple[int, dict]:
+    def run(columns: Columns, given: object, *more: str) -> tuple[int, dict]:
         table.write_columns(tmp_path / "record.csv", columns)
         if isinstance(given, dict):
             (tmp_path / "scene.json").write_text(json.dumps(given), encoding="utf-8")
             given = tmp_path / "scene.json"
         words = ["validate", str(tmp_path / "record.csv"), "--scene", str(given), "--fmu", str(fmu)]
-        code = main([*words, "--out", str(tmp_path / "out")])
+        code = main([*words, "--out", str(tmp_path / "out"), *more])
         return code, json.loads((tmp_path / "out" / "validation.json").read_text(encoding="utf-8"))
 
     return run
@@ -108,6 +108,38 @@ def test_a_short_record_names_what_is_not_judged(swing: Columns, judge: Judge) -
     assert code == 0
     assert (
         "forecasts 0.5 s ahead: 0 end in the held-out part; 20 or more are needed" in content["held_out"]["not_judged"]
+    )
+
+
+def test_later_commands_may_be_known(
+    fmu: Path, judge: Judge, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Torques that nobody plans in the scene, and that change within a forecast: held, they are its largest error."""
+    given = json.loads((scenes / "swing.json").read_text(encoding="utf-8"))
+    knots = [[0.1 * k, 0.1 * math.sin(k)] for k in range(46)]
+    moved = given | {"signals": {"tau[1]": {"linear": knots}, "tau[2]": {"linear": [[t, -tau] for t, tau in knots]}}}
+    (tmp_path / "moved.json").write_text(json.dumps(moved), encoding="utf-8")
+    library = Library(fmu)
+    source = machine(configured(tmp_path / "machine", fmu, library, tmp_path / "moved.json"), library)
+    samples = [source.next() for _ in range(900)]
+    source.close()
+    library.close()
+    columns = {name: np.array([sample.fields[name] for sample in samples]) for name in samples[0].fields}
+    columns["time"] = 1e-9 * np.array([sample.time - samples[0].time for sample in samples])
+    (_, held), (code, known) = judge(columns, given), judge(columns, given, "--known-commands")
+    assert "; forecasts know the later commands" in capsys.readouterr().out
+    assert (held["held_out"]["known_commands"], known["held_out"]["known_commands"]) == (False, True) and code == 0
+    assert held["held_out"]["innovations"] == known["held_out"]["innovations"]
+    for ahead in ("0.1", "0.5"):
+        without, with_them = (each["held_out"]["forecasts"][ahead]["rms_mrad"] for each in (held, known))
+        assert all(3 * ours < theirs for ours, theirs in zip(with_them, without, strict=True))
+    del columns["tau[1]"], columns["tau[2]"]
+    table.write_columns(tmp_path / "record.csv", columns)
+    words = ["validate", str(tmp_path / "record.csv"), "--scene", "swing", "--fmu", str(fmu), "--known-commands"]
+    assert main([*words, "--out", str(tmp_path / "none")]) == 2 and not (tmp_path / "none").exists()
+    assert (
+        "has no commands that forecasts could know; servo.theta, servo.omega or tau is needed"
+        in capsys.readouterr().err
     )
 
 
@@ -209,6 +241,14 @@ def test_an_encoder_at_rest_is_not_judged(tmp_path: Path, fmu: Path) -> None:
     )
     said = [f"motion of encoder {i}: it rests in the held-out part, which every predictor knows" for i in (1, 2)]
     assert resting[-2:] == said and not set(said) & set(moving)
+
+
+def test_the_last_command_knows_what_forecasts_know(tmp_path: Path, fmu: Path) -> None:
+    library = Library(fmu)
+    config = configured(tmp_path / "run", fmu, library, "swing")
+    library.close()
+    found = held_out.judge(config, made(lambda t: np.sin(3 * t), commands=True), known_commands=True)
+    assert all(np.nanmax(np.abs(each.others["last command"])) < 9 * PERIOD**2 / 8 + 1e-6 for each in found.forecasts)
 
 
 def test_the_delay_of_commands_is_found_and_used(tmp_path: Path, fmu: Path) -> None:
