@@ -57,6 +57,16 @@ impl Inputs {
         any([self.servo_theta, self.servo_omega])
     }
 
+    /// The loads of these inputs with the servo references of others.
+    pub fn with_references(self, other: &Self) -> Self {
+        Self { servo_theta: other.servo_theta, servo_omega: other.servo_omega, ..self }
+    }
+
+    /// The servo references alone.
+    pub fn references(&self) -> Self {
+        Self::default().with_references(self)
+    }
+
     /// The sum self + factor·other of all inputs.
     pub fn plus(self, factor: f64, other: &Self) -> Self {
         let sum = |a: [f64; 2], b: [f64; 2]| [a[0] + factor * b[0], a[1] + factor * b[1]];

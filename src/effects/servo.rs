@@ -4,10 +4,10 @@
 //! T = limit · tanh((kp (θ_ref − θ) + kd (ω_ref − ω))/limit)
 //! ```
 //!
-//! The references `servo.theta` and `servo.omega` are inputs. The law is PD control with a smooth saturation (Siciliano et al., Robotics,
+//! The references `servo.theta` and `servo.omega` are inputs, and act `servo.delay` after they have been set. The law is PD control with a smooth saturation (Siciliano et al., Robotics,
 //! 2009, section 8.5). K = kp sech² and C = kd sech² belong to the implicit step, so high gains stay stable. The work of the servo counts
-//! as input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
-//! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
+//! as input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m; delay 0 s.
+//! Limits: continuous in time (no sampling, no quantisation), no integral action; motor dynamics are not modelled.
 
 use super::Inputs;
 use super::force_law::{ForceLaw, PowerFlow, Properties};
@@ -30,6 +30,15 @@ pub struct Parameters {
     pub kd: [f64; 2],
     /// Largest torques, N·m.
     pub limit: [f64; 2],
+    /// Time from a new reference to its effect, s. The law itself reads the references that act (`src/simulation/commands.rs`).
+    pub delay: f64,
+}
+
+impl Parameters {
+    /// Time from a new reference to its effect, s; 0 without servos.
+    pub fn command_delay(&self) -> f64 {
+        if self.enabled { self.delay } else { 0.0 }
+    }
 }
 
 /// The law needs only its parameters.

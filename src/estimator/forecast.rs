@@ -184,14 +184,14 @@ impl Forecast {
         self.sigma_points.iter().all(|sigma_points| sigma_points.is_sound(linkage)) && self.commands.iter().all(Unknown::is_sound)
     }
 
-    /// Fraction of sigma points, estimate included, with a change of sign of sin(θ₃ − θ₂) within the horizon, under constant inputs that
-    /// include the unknown force. `step` is the time between two checks, s; it becomes longer if there would be more than [`MOST_CHECKS`]
+    /// Fraction of sigma points, estimate included, with a change of sign of sin(θ₃ − θ₂) within the horizon, under inputs that include the
+    /// unknown force; `scene` is a function of the time from now, s. `step` is the time between two checks, s; it becomes longer if there would be more than [`MOST_CHECKS`]
     /// checks. If a point turns so fast that it takes more steps than [`MOST_STEPS_OF_POINT`] allows, it counts as meeting a singularity.
-    pub(super) fn singularity_probability(
+    pub(super) fn singularity_probability<S: Scene>(
         &self,
         machine: &Machine,
         (motion, belief): (&LinkState, &Belief),
-        scene: &impl Scene,
+        scene: impl Fn(f64) -> S,
         step: f64,
     ) -> f64 {
         let linkage = &machine.linkage;
@@ -206,15 +206,16 @@ impl Forecast {
         let horizon = machine.parameters.horizon.max(0.0);
         let checks = (horizon / step).ceil().min(MOST_CHECKS) as u64;
         let step = step.max(horizon / MOST_CHECKS);
-        let most = MOST_STEPS_OF_POINT * checks as f64 * flow::steps_at_rest(scene, step);
+        let most = MOST_STEPS_OF_POINT * checks as f64 * flow::steps_at_rest(&scene(0.0), step);
         sigma_points.spread_force();
         let own = Point { motion: *motion, force: Links::zeros() };
         let points = sigma_points.points.into_iter().chain([own]);
         let meets = |mut point: Point| {
             let mut steps = 0.0;
             is_across(&point)
-                || (0..checks).any(|_| {
-                    steps += f64::from(point.step(linkage, scene, &Links::zeros(), step));
+                || (0..checks).any(|check| {
+                    let scene = scene((check as f64 + 0.5) * step);
+                    steps += f64::from(point.step(linkage, &scene, &Links::zeros(), step));
                     is_across(&point) || steps > most
                 })
         };

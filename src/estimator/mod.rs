@@ -767,9 +767,15 @@ impl Estimator {
         }
     }
 
-    /// Probability of a direct singularity within the horizon under the constant inputs of `scene`, which include the unknown force. It is
-    /// the fraction of 13 motions, 12 sigma points and their mean, that meet a singularity.
-    pub fn singularity_probability(&self, machine: &Machine, motion: &LinkState, scene: &impl Scene, step: f64) -> f64 {
+    /// Probability of a direct singularity within the horizon under the inputs of `scene`, a function of the time from now, s; they include
+    /// the unknown force. It is the fraction of 13 motions, 12 sigma points and their mean, that meet a singularity.
+    pub fn singularity_probability<S: Scene>(
+        &self,
+        machine: &Machine,
+        motion: &LinkState,
+        scene: impl Fn(f64) -> S,
+        step: f64,
+    ) -> f64 {
         self.forecast.singularity_probability(machine, (motion, &self.filter.belief), scene, step)
     }
 

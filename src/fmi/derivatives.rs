@@ -11,7 +11,7 @@ use super::computed::real;
 use super::values::{check_computed, check_finite, find, lookup};
 use super::{CallError, Instance};
 use crate::observers::Observed;
-use crate::simulation::{Direction, ORDERS, Signal, bindings};
+use crate::simulation::{Direction, Inputs, ORDERS, Signal, bindings};
 use crate::variables::{FmiType, Variable, VariableId};
 
 impl Instance {
@@ -59,6 +59,8 @@ impl Instance {
     /// outputs and the derivatives of continuous states, which share the references of omega and alpha. Knowns are inputs and continuous
     /// states, passed as (reference, change). Refused unless every reference is right and every value is finite.
     ///
+    /// During a run, no unknown changes at once with a servo reference that acts after `servo.delay`.
+    ///
     /// Beyond the standard, local variables may be unknowns as well. Enumerations, counters, work and `solver.*` have derivative 0.
     pub fn directional_derivative(
         &mut self,
@@ -75,8 +77,13 @@ impl Instance {
                 return Err(CallError::error(format!("{} is not an unknown: unknowns are computed variables.", variable.name)));
             }
         }
+        let is_running = self.now.scene.is_some();
         let observed = self.observe()?;
         let (model, observation) = (observed.model(), observed.observation());
+        if is_running && model.command_delay > 0.0 {
+            // References that are set now act later; those of the start act at once.
+            direction.inputs = direction.inputs.with_references(&Inputs::default());
+        }
         let along = observation.state().varied(model, &direction)?;
         let varied = Observed::<Dual64>::along(model, observation, &along);
         let change = |&unknown: &u32| {

@@ -167,8 +167,9 @@ impl Instance {
     /// Allocates the rollback copy, so that neither steps that may fail midway nor calls that tune parameters allocate it.
     fn prepare_to_go_back(&mut self) {
         let [before, now] = [&self.before, &self.now.scene].map(|scene| scene.as_ref().map(std::mem::discriminant));
-        // An estimator has parts of its own that depend on the scene.
-        if before != now || self.now.may_fail_midway() {
+        // An estimator and delayed commands have parts of their own that depend on the scene.
+        let has_parts = self.now.scene.as_ref().is_some_and(|scene| scene.simulation().run().has_commands());
+        if before != now || has_parts || self.now.may_fail_midway() {
             self.before.clone_from(&self.now.scene);
         }
     }

@@ -54,6 +54,9 @@ const EVALUATIONS: u64 = 12;
 /// Round-off of a sum of macro steps, relative to the current step.
 const MACRO_STEP_ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
+/// Round-off of a sum of thousands of macro steps, relative to the current step.
+const SUM_ROUND_OFF: f64 = 64.0 * MACRO_STEP_ROUND_OFF;
+
 /// Limits of the next steps, s from the beginning of a macro step.
 #[derive(Clone, Copy, Debug)]
 pub struct Horizon {
@@ -141,6 +144,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             memory,
             before: memory,
         }
+    }
+
+    /// The time left in the current step, s, if `h` differs from it only by the round-off of many macro steps; otherwise `h`.
+    pub fn rounded_to_end(&self, h: f64) -> f64 {
+        let left = self.length - self.elapsed;
+        if (left - h).abs() <= SUM_ROUND_OFF * self.length { left } else { h }
     }
 
     /// Advances by at most `most` macro steps of `h` seconds within the current step. Returns their number.

@@ -106,8 +106,8 @@ impl DenseRun {
         // Inputs that have changed may change again after as many macro steps as before; the rest of a longer step would be discarded.
         let limit = match self.held[0].saturating_sub(self.held[1]) {
             _ if !steps.open_ended => rest,
-            0 => f64::INFINITY,
-            same => same as f64 * steps.h,
+            0 => steps.change,
+            same => steps.change.min(same as f64 * steps.h),
         };
         // A step that ends with the call is not interpolated.
         Horizon { output: if limit > rest { rest } else { f64::INFINITY }, limit }
@@ -119,8 +119,13 @@ impl DenseRun {
         model: &Model,
         (held, turns): (&mut Inputs, &mut [i64; 4]),
         inputs: &Inputs,
-        steps: MacroSteps,
+        mut steps: MacroSteps,
     ) -> Result<(), StepFailure> {
+        if steps.change == steps.h {
+            // The step under way ends at this change, too, but for the round-off of sums of macro steps.
+            steps.h = self.step.rounded_to_end(steps.h);
+            steps.change = steps.h;
+        }
         // Most calls end inside the step under way: they need no copy.
         if steps.count == 1 && held == inputs && self.step.advance_within(steps.h, 1) == 1 {
             self.held[1] += 1;

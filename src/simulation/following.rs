@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::commands::Delay;
 use super::learned::Perturbed;
 use super::linearised::{FollowedScene, by_true_angles, with_unknown_force};
 use super::macro_steps::MacroSteps;
@@ -122,8 +123,18 @@ impl Following {
 
     /// Advances by `steps` macro steps of h seconds with inputs that change. A failure leaves the value undefined: the caller keeps a copy.
     pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
-        let one = MacroSteps { h, count: 1, open_ended: signal.is_held() };
-        signal.over((h, steps), |inputs| self.step(inputs, one))
+        let Some(mut commands) = self.simulation.run.commands.take() else {
+            let one = MacroSteps { h, count: 1, open_ended: signal.is_held(), change: f64::INFINITY };
+            return signal.over((h, steps), |inputs| self.step(inputs, one));
+        };
+        let Some(delay) = Delay::of(&self.simulation.model) else { unreachable!("the run has commands") };
+        let taken = commands.over(delay, signal, (h, steps), |inputs, steps| {
+            (0..steps.count).try_for_each(|k| {
+                self.step(inputs, MacroSteps { count: 1, ..steps }).map_err(|failure| failure.after(k as f64 * steps.h))
+            })
+        });
+        self.simulation.run.commands = Some(commands);
+        taken
     }
 
     /// Time update by one macro step: motion, then covariance.
@@ -135,7 +146,7 @@ impl Following {
         let [before, inputs] = &[&before, inputs].map(|inputs| by_true_angles(model, inputs, learned.as_ref()));
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
         let perturbed = estimate.estimator.asks_for_parameters().then(|| Perturbed::new(machine, parameters.learns_lengths()));
-        let scene = FollowedScene { model, inputs, before, turns: &turns, learned: perturbed.as_ref() };
+        let scene = FollowedScene { model, inputs: *inputs, before, turns: &turns, learned: perturbed.as_ref() };
         estimate.estimator.predict(believed, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
     }
@@ -157,9 +168,15 @@ impl Following {
 
     /// Present state, with the q̈ and λ that belong to `inputs` plus the unknown force; servo references are converted to true angles.
     pub fn state_for(&self, inputs: &Inputs) -> State {
-        let estimator = &self.estimate.estimator;
-        let inputs = by_true_angles(&self.simulation.model, inputs, estimator.learned().as_ref());
-        self.simulation.state_for(&with_unknown_force(&inputs, &estimator.belief().force))
+        self.simulation.run.state(&self.simulation.model, &self.acting(inputs, 0.0))
+    }
+
+    /// Inputs that act `later` seconds from now if the master leaves them at `inputs`, plus the unknown force; servo references are converted
+    /// to true angles.
+    fn acting(&self, inputs: &Inputs, later: f64) -> Inputs {
+        let (estimator, Simulation { model, run, .. }) = (&self.estimate.estimator, &self.simulation);
+        let inputs = run.commands.as_ref().map_or(*inputs, |commands| commands.acting(inputs, later));
+        with_unknown_force(&by_true_angles(model, &inputs, estimator.learned().as_ref()), &estimator.belief().force)
     }
 
     /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`]. A failure leaves the value undefined: the caller
@@ -239,12 +256,19 @@ impl Following {
     }
 
     /// Probability of a direct singularity within the horizon if the inputs stay at `held`, plus the unknown force: see
-    /// [`state_for`](Self::state_for).
+    /// [`state_for`](Self::state_for). Commands that wait for `servo.delay` act at their times.
     pub fn singularity_probability(&self, held: &Inputs) -> f64 {
         let Simulation { model, run, parameters } = &self.simulation;
-        let scene = FollowedScene { model, inputs: held, before: held, turns: &run.turns, learned: None };
+        let learned = self.estimate.estimator.learned();
+        let scene = |later: f64| {
+            let inputs = match &run.commands {
+                None => *held,
+                Some(commands) => by_true_angles(model, &commands.acting(held, later), learned.as_ref()),
+            };
+            FollowedScene { model, inputs, before: held, turns: &run.turns, learned: None }
+        };
         let step = parameters.settings.step_size;
-        self.estimate.estimator.singularity_probability(&self.believed, &self.motion(), &scene, step)
+        self.estimate.estimator.singularity_probability(&self.believed, &self.motion(), scene, step)
     }
 
     /// Most probable cause of a deviation from the model, and its probability.

@@ -61,7 +61,7 @@ pub struct FollowedScene<'a> {
     /// Model with its effects.
     pub model: &'a Model,
     /// Inputs without the unknown force; their servo references are true angles.
-    pub inputs: &'a Inputs,
+    pub inputs: Inputs,
     /// Inputs of the step before.
     pub before: &'a Inputs,
     /// Whole turns of links 1 to 4 that the angles omit.
@@ -78,7 +78,7 @@ impl FollowedScene<'_> {
         force: &Links,
         answer: impl FnOnce(&FiveBar<'_>, &Equations<'_>, &Pose, Motion<'_>) -> T,
     ) -> T {
-        let (model, inputs) = (self.model, with_unknown_force(self.inputs, force));
+        let (model, inputs) = (self.model, with_unknown_force(&self.inputs, force));
         let five_bar = FiveBar::new(model, &inputs, self.turns);
         let (turned, rates) = (by_legs(at.theta.into()), by_legs(at.omega.into()));
         let pose = model.mechanism.pose_at(turned);
@@ -130,7 +130,7 @@ impl Scene for FollowedScene<'_> {
 
     #[inline(never)]
     fn by_delay(&self, at: &LinkState, force: &Links, h: f64) -> Links {
-        let earlier = FollowedScene { inputs: self.before, ..*self };
+        let earlier = FollowedScene { inputs: *self.before, ..*self };
         (earlier.acceleration(at, force) - self.acceleration(at, force)) / h
     }
 
@@ -265,7 +265,7 @@ mod tests {
             (Model::new(&machine).expect("a scene"), Linkage::new(&machine.geometry))
         };
         let (perturbed, (model, linkage), none) = (Perturbed::new(&parameters, true), made(&known), Links::zeros());
-        let here = FollowedScene { model: &model, inputs: &inputs, before: &inputs, turns: &[0; 4], learned: Some(&perturbed) };
+        let here = FollowedScene { model: &model, inputs, before: &inputs, turns: &[0; 4], learned: Some(&perturbed) };
         let alpha = here.linearised(&at, &none, &Matrix4x2::zeros()).alpha;
         let loads = Scene::by_loads(&here, &at, &none, &alpha);
         let lengths = Scene::by_lengths(&here, &at, &none, &alpha).expect("lengths are learned");
@@ -282,7 +282,7 @@ mod tests {
                 learned[i] += by;
                 let (model, linkage) = made(&learned);
                 let inputs = by_true_angles(&model, &inputs, Some(&learned));
-                let scene = FollowedScene { model: &model, inputs: &inputs, before: &inputs, turns: &[0; 4], learned: None };
+                let scene = FollowedScene { model: &model, inputs, before: &inputs, turns: &[0; 4], learned: None };
                 let from = linkage.closed(at).expect("a closed loop").0;
                 let end = motion(&scene, &from, &none, h, moved.steps);
                 (scene.acceleration(&at, &none), end, from, linkage.tip(&from.theta))

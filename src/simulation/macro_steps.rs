@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use super::commands::TooManyCommands;
 use crate::integrator::StepError;
 
 /// Failure of an advance. The simulation is as before the call.
@@ -10,7 +11,32 @@ pub struct StepFailure {
     /// Time reached, s after the beginning of the call.
     pub elapsed: f64,
     /// Cause of the failure.
-    pub cause: StepError,
+    pub cause: Cause,
+}
+
+/// Cause of a failed advance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Cause {
+    /// The integrator could not take a step.
+    Step(StepError),
+    /// More commands wait for their effect than there is room for.
+    Commands(TooManyCommands),
+}
+
+impl fmt::Display for Cause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Step(error) => error.fmt(f),
+            Self::Commands(refusal) => refusal.fmt(f),
+        }
+    }
+}
+
+impl StepFailure {
+    /// The failure of a call that began `begin` seconds earlier.
+    pub(super) fn after(self, begin: f64) -> Self {
+        Self { elapsed: begin + self.elapsed, ..self }
+    }
 }
 
 impl fmt::Display for StepFailure {
@@ -30,11 +56,13 @@ pub(super) struct MacroSteps {
     pub(super) count: u64,
     /// Whether the inputs may stay the same afterwards, so that a step may run past the end.
     pub(super) open_ended: bool,
+    /// Time until the inputs are known to change, s; infinite if no change is known. If it is finite, there is one macro step.
+    pub(super) change: f64,
 }
 
 impl MacroSteps {
     /// Failure of the macro step with index `step`.
     pub(super) fn failure(&self, step: u64, cause: StepError) -> StepFailure {
-        StepFailure { elapsed: step as f64 * self.h, cause }
+        StepFailure { elapsed: step as f64 * self.h, cause: Cause::Step(cause) }
     }
 }

@@ -6,6 +6,7 @@
 pub mod angles;
 mod bifurcation;
 pub mod bindings;
+mod commands;
 mod correction;
 mod dense_run;
 mod events;
@@ -35,12 +36,14 @@ use crate::mechanism::{self, SceneError, closure};
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
 use bindings::check_bounds;
+use commands::Delay;
+pub use commands::TooManyCommands;
 pub use following::{Estimate, Following};
 pub(crate) use learned::NEARLY_IN_PAIRS;
 pub use learned::Perturbed;
 pub use linearised::FollowedScene;
 use macro_steps::MacroSteps;
-pub use macro_steps::StepFailure;
+pub use macro_steps::{Cause, StepFailure};
 pub use model::{Model, Parameters};
 pub use model_exchange::STATES;
 use run::Integrator;
@@ -72,9 +75,9 @@ impl Simulation {
     }
 
     /// Simulation for model exchange: proximal angles and rates are states that the master sets ([`Simulation::set_states`]). Refuses as
-    /// [`Simulation::new`], and friction that sticks.
+    /// [`Simulation::new`], friction that sticks, and servos that act late.
     pub fn for_model_exchange(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
-        refuse_sticking(parameters)?;
+        refuse_in_model_exchange(parameters)?;
         let model = Model::boxed(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
         let run = Run::start_for_model_exchange(&model, [q, v], inputs, parameters.start.assembly);
@@ -126,7 +129,7 @@ impl Simulation {
     /// its loads.
     pub fn restored(parameters: &Parameters, run: Run) -> Result<Self, SceneError> {
         if run.is_model_exchange() {
-            refuse_sticking(parameters)?;
+            refuse_in_model_exchange(parameters)?;
         }
         Self::continued(parameters, Model::boxed(parameters)?, run)
     }
@@ -134,6 +137,9 @@ impl Simulation {
     /// Continues a stored run of a model with the parameters in force; refused as by [`Simulation::restored`].
     fn continued(parameters: &Parameters, model: Box<Model>, mut run: Run) -> Result<Self, SceneError> {
         run.configure(&model).map_err(|what| SceneError(what.into()))?;
+        if let Some((commands, delay)) = run.commands.as_mut().zip(Delay::of(&model)) {
+            commands.make_room(delay);
+        }
         let simulation = Self { parameters: parameters.clone(), model, run };
         simulation.run.check(&simulation.model, parameters)?;
         Ok(simulation)
@@ -141,9 +147,12 @@ impl Simulation {
 
     /// Advances by `steps` macro steps of `h` seconds with constant `inputs`.
     ///
-    /// On failure everything is as before the call. Allocates nothing.
+    /// Servo references act `servo.delay` later. On failure everything is as before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-        self.run.advance(&self.model, inputs, MacroSteps { h, count: steps, open_ended: true })
+        if self.run.commands.is_some() {
+            return self.advance_delayed(&Signal::held(*inputs), h, steps);
+        }
+        self.run.advance(&self.model, inputs, MacroSteps { h, count: steps, open_ended: true, change: f64::INFINITY })
     }
 
     /// Advances by `steps` macro steps of `h` seconds with inputs that change. Each macro step takes their value at its middle: the impulse
@@ -154,9 +163,28 @@ impl Simulation {
 
     #[inline(never)]
     fn advance_changing(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        if self.run.commands.is_some() {
+            return self.advance_delayed(signal, h, steps);
+        }
         let before = self.run.clone();
-        let one = MacroSteps { h, count: 1, open_ended: false };
+        let one = MacroSteps { h, count: 1, open_ended: false, change: f64::INFINITY };
         signal.over((h, steps), |inputs| self.run.advance(&self.model, inputs, one)).inspect_err(|_| self.run = before)
+    }
+
+    /// Advances with servo references that act late.
+    #[inline(never)]
+    fn advance_delayed(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        let Self { model, run, .. } = self;
+        let (Some(mut commands), Some(delay)) = (run.commands.take(), Delay::of(model)) else {
+            unreachable!("a run has commands if its model has a delay")
+        };
+        let before = run.clone();
+        let taken = commands.over(delay, signal, (h, steps), |inputs, steps| run.advance(model, inputs, steps));
+        if taken.is_err() {
+            *run = before;
+        }
+        run.commands = Some(commands);
+        taken
     }
 
     /// Sets the states of model exchange: proximal angles, rad, left and right, and their rates, rad/s. Refused at a direct singularity and in co-simulation;
@@ -201,12 +229,15 @@ impl Simulation {
 
     /// Present state; q̈ and λ belong to the inputs of the last step.
     pub fn state(&self) -> State {
-        self.state_for(&self.run.inputs)
+        self.run.state(&self.model, &self.run.inputs)
     }
 
-    /// Present state, with the q̈ and λ that belong to `inputs`.
+    /// Present state, with the q̈ and λ that belong to `inputs`. Delayed servo references are the ones that act now.
     pub fn state_for(&self, inputs: &Inputs) -> State {
-        self.run.state(&self.model, inputs)
+        match &self.run.commands {
+            None => self.run.state(&self.model, inputs),
+            Some(commands) => self.run.state(&self.model, &commands.acting(inputs, 0.0)),
+        }
     }
 
     /// Counters of the integrator since the start.
@@ -269,8 +300,16 @@ impl Simulation {
     }
 }
 
-/// Refuses set-valued friction in model exchange, because the master does not know which joints stick.
-fn refuse_sticking(parameters: &Parameters) -> Result<(), SceneError> {
+/// Refuses set-valued friction in model exchange, because the master does not know which joints stick, and delayed servo references, because
+/// its integrator may try times in any order.
+fn refuse_in_model_exchange(parameters: &Parameters) -> Result<(), SceneError> {
+    let delay = parameters.effects.servo.command_delay();
+    if delay > 0.0 {
+        return Err(SceneError(format!(
+            "servo.delay = {delay:?} s is not allowed in model exchange, whose master may try times in any order: it must be 0, or the unit \
+             instantiated for co-simulation."
+        )));
+    }
     let Some(name) = sticking_law(&parameters.effects) else { return Ok(()) };
     Err(SceneError(format!(
         "{name} = stick is not allowed in model exchange, whose master does not know which joints stick: it must be smooth, or the \

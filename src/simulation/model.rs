@@ -48,6 +48,8 @@ pub struct Model {
     pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
     pub has_servo: bool,
+    /// Time from a new servo reference to its effect, s; 0 without servos.
+    pub command_delay: f64,
     /// Linear solver that the scene needs.
     pub solver: LinearSolver,
     /// Constant part of the mass matrix in the link angles.
@@ -95,6 +97,7 @@ impl Model {
             features: Features::SMOOTH,
             has_kinks: false,
             has_servo: false,
+            command_delay: parameters.effects.servo.command_delay(),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
             weight_torques: Weight::new(&mechanism, &weight),

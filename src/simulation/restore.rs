@@ -1,6 +1,7 @@
 //! Consistency checks of a stored run against the model and parameters under which it is restored.
 
 use super::angles::AngleSystem;
+use super::commands::Delay;
 use super::five_bar::FiveBar;
 use super::model::Model;
 use super::run::{Integrator, Run};
@@ -16,9 +17,15 @@ const RATE_TOLERANCE: f64 = 1e-5;
 impl Run {
     /// Refuses a run that is inconsistent with this model.
     pub(super) fn check(&self, model: &Model, parameters: &Parameters) -> Result<(), SceneError> {
-        let Self { turns, inputs, energy_at_start, integrator } = self;
+        let Self { turns, inputs, energy_at_start, integrator, commands } = self;
         if !inputs.are_finite() || !energy_at_start.is_finite() {
             return Err(SceneError("an input or an energy is not finite".into()));
+        }
+        match (commands, Delay::of(model)) {
+            (None, None) => {}
+            (Some(commands), Some(delay)) => commands.check(delay).map_err(|what| SceneError(what.into()))?,
+            (None, Some(_)) => return Err(SceneError("the commands that wait for servo.delay are missing".into())),
+            (Some(_), None) => return Err(SceneError("commands wait, but no servo acts late".into())),
         }
         let system = FiveBar::new(model, inputs, turns);
         let bounds = bounds(&parameters.settings);

@@ -3,6 +3,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::commands::Commands;
 use super::dense_run::DenseRun;
 use super::five_bar::FiveBar;
 use super::join::discontinuity;
@@ -11,6 +12,7 @@ use super::methods::{MacroStepMethod, MethodSettings, method_settings};
 use super::model::Model;
 use super::model_exchange::ModelExchangeState;
 use super::state::{Core, State, remove_whole_turns};
+use crate::copies::clone_by_fields;
 use crate::effects::Inputs;
 use crate::effects::payload::Join;
 use crate::hybrid::{Mode, StickSlips};
@@ -21,7 +23,7 @@ use crate::mechanism::coordinates::link_angles;
 use crate::mechanism::{Assembly, COORDINATES, Coordinates};
 
 /// Changing part of a simulation. A copy is a complete snapshot.
-#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Run {
     /// Whole turns of links 1 to 4 that the angles of the integrator omit.
     pub(super) turns: [i64; 4],
@@ -30,7 +32,11 @@ pub struct Run {
     /// Kinetic plus potential energy at the start, J.
     pub(super) energy_at_start: f64,
     pub(super) integrator: Integrator,
+    /// Servo references that act late, if `servo.delay` is not 0.
+    pub(super) commands: Option<Box<Commands>>,
 }
+
+clone_by_fields!(Run { turns, inputs, energy_at_start, integrator, commands });
 
 /// Integrator with its settings and state, by the kind of its steps.
 #[expect(clippy::large_enum_variant, reason = "a copy is a snapshot, and a step allocates nothing")]
@@ -93,7 +99,7 @@ impl Run {
             }
             MethodSettings::Dense(settings) => Integrator::DenseOutput(DenseRun::start(model, settings, &state)),
         };
-        Self { turns, inputs: *inputs, energy_at_start, integrator }
+        Self { turns, inputs: *inputs, energy_at_start, integrator, commands: Commands::start(model, inputs) }
     }
 
     /// Starts a run for model exchange: the master sets proximal angles and rates, which keep their whole turns. The distal links stay in
@@ -103,12 +109,17 @@ impl Run {
         let core = states.core(model, inputs);
         let state = State { core, turns: [0; 4], inputs: *inputs, energy_at_start: 0.0, stick_slip: StickSlips::OPEN };
         let energy_at_start = state.energy(model);
-        Self { turns: [0; 4], inputs: *inputs, energy_at_start, integrator: Integrator::ModelExchange(states) }
+        Self { turns: [0; 4], inputs: *inputs, energy_at_start, integrator: Integrator::ModelExchange(states), commands: None }
     }
 
     /// Whether a master sets proximal angles and rates (model exchange).
     pub fn is_model_exchange(&self) -> bool {
         matches!(self.integrator, Integrator::ModelExchange(_))
+    }
+
+    /// Whether servo references act late.
+    pub fn has_commands(&self) -> bool {
+        self.commands.is_some()
     }
 
     /// Sets the settings of the model's method; refused if a method of another kind made the run.
@@ -157,6 +168,14 @@ impl Run {
     /// Replaces the model. The change of potential energy counts as input work, and added mass joins as `join` says. A failure changes
     /// nothing.
     pub(super) fn tune(&mut self, before: &Model, after: &Model, join: Join) -> Result<(), StepError> {
+        // Commands do not change, and a copy of them would need memory.
+        let commands = self.commands.take();
+        let tuned = self.tuned(before, after, join).map(|tuned| *self = tuned);
+        self.commands = commands;
+        tuned
+    }
+
+    fn tuned(&self, before: &Model, after: &Model, join: Join) -> Result<Self, StepError> {
         let mut tuned = self.clone();
         if let Integrator::DenseOutput(run) = &mut tuned.integrator {
             run.stop(before, &tuned.inputs, &tuned.turns)?;
@@ -166,8 +185,7 @@ impl Run {
         // The method is the same, so this cannot fail.
         let _ = tuned.configure(after);
         tuned.resume(after, motion, work);
-        *self = tuned;
-        Ok(())
+        Ok(tuned)
     }
 
     /// Continues with the present inputs after a change that did this work, J, and may have led to other coordinates and velocities. A step

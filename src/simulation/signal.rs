@@ -33,6 +33,12 @@ impl Signal {
         self.derivatives.unwrap_or_default()
     }
 
+    /// The servo references alone; loads are 0.
+    pub(super) fn references(&self) -> Self {
+        let derivatives = self.derivatives.map(|derivatives| derivatives.map(|of| of.references()));
+        Self::new(self.value.references(), derivatives.unwrap_or_default())
+    }
+
     /// Inputs `elapsed` seconds after the beginning.
     pub fn at(&self, elapsed: f64) -> Inputs {
         self.derivatives
@@ -47,7 +53,7 @@ impl Signal {
     ) -> Result<(), StepFailure> {
         for k in 0..steps {
             let begin = k as f64 * h;
-            step(&self.at(begin + h / 2.0)).map_err(|failure| StepFailure { elapsed: begin + failure.elapsed, ..failure })?;
+            step(&self.at(begin + h / 2.0)).map_err(|failure| failure.after(begin))?;
         }
         Ok(())
     }

@@ -239,6 +239,10 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
         assert_eq!(host.set_integer(&[reference("friction.law")], &[2]), fmi2OK);
         values.extend([("friction.coulomb[1]", 1.0), ("friction.breakaway[1]", 1.0)]);
     }
+    if solve == "late" {
+        assert_eq!(host.set_boolean(&[reference("servo.enabled")], &[1]), fmi2OK);
+        values.extend([("servo.delay", 7e-3), ("servo.theta[1]", 1.6), ("servo.theta[2]", 2.0)]);
+    }
     if solve == "stiff" {
         assert_eq!(host.set_boolean(&[reference("servo.enabled")], &[1]), fmi2OK);
         values.extend([("servo.kp[1]", 200.0), ("servo.kd[1]", 2.0), ("servo.limit[1]", 50.0), ("servo.theta[1]", 1.6)]);
@@ -264,6 +268,10 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
     for step in 0..10 {
         if changing {
             assert_eq!(host.set_real(&[reference("tau[1]")], &[1e-3 * f64::from(step)]), fmi2OK);
+        }
+        if solve == "late" {
+            assert_eq!(host.set_real(&[reference("servo.theta[1]")], &[1.6 + 0.01 * f64::from(step)]), fmi2OK);
+            assert_eq!(host.set_input_derivatives(&[(reference("servo.theta[2]"), 1, f64::from(step % 3))]), fmi2OK);
         }
         assert_eq!(host.do_step(f64::from(step) * STEP, STEP), fmi2OK, "{method} {solve}: {:?}", host.take());
     }
@@ -327,6 +335,12 @@ fn forged_runs_that_stick_or_are_stiff_are_refused_or_go_on() {
         (6, true, true, "stiff"),
     ];
     forge_runs(24, &runs);
+}
+
+/// Commands that wait, of constant references and of ramps.
+#[test]
+fn forged_runs_with_commands_that_wait_are_refused_or_go_on() {
+    forge_runs(31, &[(1, true, false, "late"), (3, false, false, "late"), (5, false, false, "late"), (6, true, false, "late")]);
 }
 
 /// Other values of the Real parameters, because a stored state contains only those that differ from their start values. The start itself

@@ -125,6 +125,7 @@ impl Random {
                 enable(&mut parameters, effect);
             }
         }
+        parameters.effects.servo.delay = [0.0, self.between(0.0, 0.01)][self.one_of(2)];
         parameters
     }
 

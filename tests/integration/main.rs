@@ -7,7 +7,7 @@ mod automatic; // the method that chooses its scheme: choice, accuracy in time, 
 mod checks; // checks of each step: every fault found by every kind of step, no motion changed
 mod closure; // starts: closed and consistent, or refused with one message; singular postures distinguished
 mod coaxial; // coaxial motors: branches of the closure, and nearly coaxial machines
-mod commands; // forecasts that do not know the future commands
+mod commands; // commands that act late: shifted motions, grouping of calls, stored, bounded, followed
 mod conserving; // the fixed conserving step: energy, constraints, order, every effect, bounded work
 mod constraints; // Φ and its derivatives against finite differences along real motions
 mod dop853; // the error-controlled explicit method: accuracy, communication points, changing inputs
@@ -38,6 +38,7 @@ mod fmi_step; // communication points, the step grid, discard, status functions
 mod fmi_values; // reading and writing variables
 mod forged_states; // stored states changed byte by byte: refused, or motions that continue (too many for valgrind)
 mod legal_states; // stored states of any motion can be read back and continue with the same bits
+mod unknown_commands; // forecasts that do not know the future commands
 
 // Shared code.
 mod fmi_host; // a small master; all C calls of tests are here

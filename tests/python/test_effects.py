@@ -112,6 +112,30 @@ def test_servo_goes_to_its_reference(new: New) -> None:
     assert bare.get("theta[1]") == pytest.approx(2.2209, abs=1e-12) and bare.get("servo.torque[1]") == 0.0
 
 
+def test_a_servo_acts_after_its_delay(new: New) -> None:
+    """A reference set at 10 ms acts at 27.3 ms, within a step: as one that is set then. The difference is round-off of the step that is divided."""
+    held = FLAT | {"servo.enabled": True, "servo.theta[1]": 2.2209, "servo.theta[2]": 0.9207}
+    late, at_once = (new().initialise(held | {"servo.delay": delay}) for delay in (0.0173, 0.0))
+    late.steps(10, 1e-3)
+    at_once.steps(27, 1e-3)
+    at_once.steps(1, 3e-4, 0.027)
+    torque = late.get("servo.torque[1]")
+    for instance in (late, at_once):
+        instance.set({"servo.theta[1]": 2.3})
+    assert late.get("servo.torque[1]") == torque == pytest.approx(0.0, abs=1e-9) < at_once.get("servo.torque[1]")
+    late.steps(40, 1e-3, 0.01)
+    at_once.steps(1, 7e-4, 0.0273)
+    at_once.steps(22, 1e-3, 0.028)
+    assert late.get("theta[1]") == pytest.approx(at_once.get("theta[1]"), abs=1e-12) and late.get("theta[1]") > 2.225
+
+
+@pytest.mark.parametrize("delay", [-1e-3, 0.11])
+def test_a_delay_out_of_bounds_is_refused_by_name(new: New, delay: float) -> None:
+    instance = new()
+    status, text = instance.refusal(instance.set, {"servo.delay": delay})
+    assert status == fmi2.fmi2Error and f"servo.delay = {delay}" in text and "0.1" in text
+
+
 def test_a_tunable_parameter_acts_from_the_next_step(new: New) -> None:
     """Energy added by a stiffer spring counts as input, so that the balance holds."""
     tuned, left = (new().initialise(FLAT | {"spring.enabled": True}) for _ in range(2))

@@ -92,6 +92,30 @@ def test_the_twin_follows_within_its_bands(config: Config, library: Library, sam
     )
 
 
+def test_a_twin_with_the_delay_of_its_machine_follows_it(config: Config, library: Library) -> None:
+    """17 ms, from a stored state on as well: innovations as without any delay. A twin that does not know it takes it for a force."""
+    rms = {}
+    for name, machines, own in (("none", 0.0, 0.0), ("known", 0.017, 0.017), ("unknown", 0.017, 0.0)):
+        hidden = config.machine.hidden | {"servo.delay": machines}
+        about = replace(
+            config, machine=replace(config.machine, hidden=hidden), twin=config.twin | {"servo.delay": own}
+        )
+        source, twin = machine(about, library), follower(about, library)
+        said = estimates(twin, [source.next() for _ in range(200)])
+        other = follower(about, library)
+        other.go_on_from(twin.state())
+        last = [source.next() for _ in range(200)]
+        one, again = estimates(twin, last), estimates(other, last)
+        assert [each.fields for each in one] == [each.fields for each in again], "to the bit"
+        innovations = [
+            each.fields[f"estimated.innovation[{i}]"] for each in (said + one)[20:] for i in (1, 2)
+        ]
+        rms[name] = math.sqrt(np.mean(np.square(innovations)))
+        for each in (source, twin, other):
+            each.close()
+    assert rms["known"] < 1.2 * rms["none"] and rms["unknown"] > 3 * rms["none"], rms
+
+
 def test_late_and_doubled_samples_do_not_change_the_end(
     config: Config, library: Library, samples: list[Message]
 ) -> None:

@@ -12,7 +12,7 @@ use fivebar::effects::Law;
 use fivebar::integrator::StepError;
 use fivebar::observers;
 use fivebar::simulation::bindings::default_parameters;
-use fivebar::simulation::{Inputs, Parameters, Simulation};
+use fivebar::simulation::{Cause, Inputs, Parameters, Simulation};
 use rayon::prelude::*;
 
 use crate::cases::kinks;
@@ -394,9 +394,9 @@ enum Ending {
 }
 
 impl Ending {
-    fn of(cause: &StepError) -> Self {
+    fn of(cause: &Cause) -> Self {
         match cause {
-            StepError::Imbalance { .. } | StepError::SignWithoutSingularity { .. } | StepError::BranchChange => {
+            Cause::Step(StepError::Imbalance { .. } | StepError::SignWithoutSingularity { .. } | StepError::BranchChange) => {
                 Self::Stopped(cause.to_string())
             }
             _ => Self::GivenUp(cause.to_string()),

@@ -60,7 +60,7 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> [f64; 5] 
     let linkage = Linkage::new(&truth.model().mechanism.geometry);
     let scenes = [truth.model(), twin.simulation().model()].map(|model| FollowedScene {
         model,
-        inputs: &inputs,
+        inputs,
         before: &inputs,
         turns: &turns,
         learned: None,
