@@ -97,9 +97,7 @@ def test_a_twin_with_the_delay_of_its_machine_follows_it(config: Config, library
     rms = {}
     for name, machines, own in (("none", 0.0, 0.0), ("known", 0.017, 0.017), ("unknown", 0.017, 0.0)):
         hidden = config.machine.hidden | {"servo.delay": machines}
-        about = replace(
-            config, machine=replace(config.machine, hidden=hidden), twin=config.twin | {"servo.delay": own}
-        )
+        about = replace(config, machine=replace(config.machine, hidden=hidden), twin=config.twin | {"servo.delay": own})
         source, twin = machine(about, library), follower(about, library)
         said = estimates(twin, [source.next() for _ in range(200)])
         other = follower(about, library)
@@ -107,9 +105,7 @@ def test_a_twin_with_the_delay_of_its_machine_follows_it(config: Config, library
         last = [source.next() for _ in range(200)]
         one, again = estimates(twin, last), estimates(other, last)
         assert [each.fields for each in one] == [each.fields for each in again], "to the bit"
-        innovations = [
-            each.fields[f"estimated.innovation[{i}]"] for each in (said + one)[20:] for i in (1, 2)
-        ]
+        innovations = [each.fields[f"estimated.innovation[{i}]"] for each in (said + one)[20:] for i in (1, 2)]
         rms[name] = math.sqrt(np.mean(np.square(innovations)))
         for each in (source, twin, other):
             each.close()
