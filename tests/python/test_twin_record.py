@@ -109,7 +109,7 @@ def test_other_files_than_records_are_refused_with_one_sentence(tmp_path: Path) 
     pq.write_table(pa.table({"topic": ["a"], "time": [1]}), other)
     for path, sentence in (
         (tmp_path / "none", "no record"),
-        (text, "not a file of Parquet"),
+        (text, "not a Parquet file"),
         (other, "no column seq, payload"),
         (tmp_path, "no part-"),
     ):
