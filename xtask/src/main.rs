@@ -15,6 +15,7 @@ mod prices;
 mod process;
 mod release;
 mod report;
+mod revision;
 mod run;
 mod scenes;
 mod site;

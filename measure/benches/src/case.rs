@@ -28,6 +28,11 @@ impl Case {
         Self { table, name: name.into(), times, prepare: Box::new(prepare) }
     }
 
+    /// Whether the work is calls of C functions, as a master makes them.
+    pub(crate) fn is_call(&self) -> bool {
+        ["dostep", "start-up", "state"].contains(&self.table)
+    }
+
     /// Does the work once; returns its time.
     pub(crate) fn once(&self) -> Result<Duration> {
         let mut work = (self.prepare)()?;

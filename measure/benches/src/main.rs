@@ -7,7 +7,9 @@
 //! | `cases/` | the cases, one file per table |
 //! | `scene.rs` | parameters and inputs by the names of variables |
 //! | `host.rs` | a master that calls the C functions through pointers |
-//! | `count.rs` | instructions, by callgrind |
+//! | `count.rs` | instructions, accesses to data and cache misses, by callgrind |
+//! | `pair.rs` | two builds of the library side by side |
+//! | `loaded.rs` | another build of the library, loaded from its .fmu |
 //! | `scenes.rs` | the time of each call along the scenes |
 //! | `check.rs` | ceilings, and that disabled effects cost nothing |
 //! | `report.rs` | tables and the machine of the measurement |
@@ -17,6 +19,8 @@ mod cases;
 mod check;
 mod count;
 mod host;
+mod loaded;
+mod pair;
 mod report;
 mod scene;
 mod scenes;
@@ -43,17 +47,44 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
-    /// Check instructions against their ceilings, and that disabled effects cost nothing; no times
-    Check,
-    /// Run every case once; `run` and `check` call it under callgrind
-    Count,
+    /// Time two builds of the library side by side: every scene by every method
+    Pair {
+        /// Folder of an unpacked .fmu
+        #[arg(long)]
+        before: PathBuf,
+        /// Folder of the other one
+        #[arg(long)]
+        after: PathBuf,
+        /// Folder of the table
+        #[arg(long)]
+        out: PathBuf,
+        /// Only cells with this in their names
+        #[arg(long, default_value = "")]
+        only: String,
+        /// Few pairs of scenes up to 0.1 s
+        #[arg(long)]
+        quick: bool,
+    },
+    /// Check instructions, accesses to data and cache misses against their ceilings, and that disabled effects cost nothing; no times
+    Check {
+        /// First replace the ceilings of memory.csv by what is measured, with its margins
+        #[arg(long)]
+        renew_memory: bool,
+    },
+    /// Run cases once; `run` and `check` call it under callgrind
+    Count {
+        /// Only cases that call C functions, instead of all others
+        #[arg(long)]
+        calls: bool,
+    },
 }
 
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Run { out, quick } => report::run(&out, quick),
-        Command::Check => check::check(),
-        Command::Count => count::each_once(),
+        Command::Pair { before, after, out, only, quick } => pair::run(&before, &after, &out, &pair::Extent::new(&only, quick)),
+        Command::Check { renew_memory } => check::check(renew_memory),
+        Command::Count { calls } => count::each_once(calls),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -9,6 +9,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::case::{self, Case};
+use crate::count::Count;
 use crate::{cases, count, scenes};
 
 /// Cost of a case per counted operation.
@@ -24,14 +25,17 @@ struct Row<'a> {
 /// Counts and times everything and writes `out/<table>.csv` and `out/bench.json`.
 pub(crate) fn run(out: &Path, quick: bool) -> Result<()> {
     fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
-    let (cases, counts) = (cases::all()?, count::instructions()?);
+    let (cases, counts) = (cases::all()?, count::counts()?);
     let repeats = if quick { 5 } else { 51 };
     for (table, counts) in cases.chunk_by(|a, b| a.table == b.table).zip(chunks(&cases, &counts)) {
         let times = case::times(table, repeats)?;
         let rows: Vec<Row> = table
             .iter()
             .zip(counts.iter().zip(times))
-            .map(|(case, (&instructions, ns))| Row { case: &case.name, instructions, ns, ratio: instructions / counts[0] })
+            .map(|(case, (&Count { instructions, .. }, ns))| {
+                let ratio = instructions / counts[0].instructions;
+                Row { case: &case.name, instructions, ns, ratio }
+            })
             .collect();
         println!("\n{}\n{:>14} {:>12} {:>8}", table[0].table, "instructions", "ns", "ratio");
         for Row { case, instructions, ns, ratio } in &rows {
@@ -56,7 +60,7 @@ pub(crate) fn run(out: &Path, quick: bool) -> Result<()> {
 }
 
 /// Splits the counts like the cases by table.
-fn chunks<'a>(cases: &[Case], counts: &'a [f64]) -> Vec<&'a [f64]> {
+fn chunks<'a>(cases: &[Case], counts: &'a [Count]) -> Vec<&'a [Count]> {
     let mut rest = counts;
     let lengths = cases.chunk_by(|a, b| a.table == b.table).map(<[Case]>::len);
     lengths.map(|length| rest.split_off(..length).unwrap_or_default()).collect()

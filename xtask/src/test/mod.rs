@@ -121,6 +121,8 @@ fn checked(level: Level, environment: ScopedJoinHandle<'_, Result<()>>) -> Resul
     steps.add(times);
     if let Some(instructions) = instructions {
         steps.run("instructions (the rest)", || instructions.finish())?;
+        // No time is judged: only whether both libraries run each scene.
+        steps.run("a build beside itself", || bench::pair(&fmu, &fmu, "by automatic", true))?;
     }
     steps.show();
     Ok(())
