@@ -99,14 +99,10 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
 
     /// Friction reactions of sticking places: torques in the joints, N·m, and force on the tip, N.
     fn holding(&self, Posed { q, pose, v }: Posed<'_, Self::Pose, N>) -> [f64; FRICTION_PLACES] {
-        let mut holding = [0.0; FRICTION_PLACES];
         if self.stick_slip().at_rest() {
-            let friction_problem = FrictionProblem::new(self, q, v, &|_| true);
-            for (place, torque) in friction_problem.places.iter().zip(friction_problem.resting_torques()) {
-                holding[*place] = torque;
-            }
-            return holding;
+            return self.holding_at_rest(Posed { q, pose, v });
         }
+        let mut holding = [0.0; FRICTION_PLACES];
         let constraints = self.friction_constraints(Posed { q, pose, v }, StickSlip::sticks);
         let StickingConstraint::Direction { row, drift, force } = sticking_direction(self.stick_slip(), &constraints) else {
             return holding;
@@ -116,6 +112,21 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         let (part, ..) = reaction(&mass, [&row, &force], row.dot(&a) + drift);
         for (constraint, share) in shares(self.stick_slip(), &constraints) {
             holding[constraint.at.place] = part * share;
+        }
+        holding
+    }
+
+    /// Friction reactions that keep the whole mechanism at rest, as [`Frictional::holding`].
+    fn holding_at_rest(&self, at: Posed<'_, Self::Pose, N>) -> [f64; FRICTION_PLACES] {
+        self.torques_at_rest(at.q, at.v)
+    }
+
+    /// Friction reactions at rest by the equations of this system, as [`Frictional::holding`].
+    fn torques_at_rest(&self, q: &Vector<N>, v: &Vector<N>) -> [f64; FRICTION_PLACES] {
+        let mut holding = [0.0; FRICTION_PLACES];
+        let friction_problem = FrictionProblem::new(self, q, v, &|_| true);
+        for (place, torque) in friction_problem.places.iter().zip(friction_problem.resting_torques()) {
+            holding[*place] = torque;
         }
         holding
     }

@@ -283,7 +283,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if let Some([q, v]) = motion {
             (self.end.q, self.end.v) = (q, v);
         }
-        self.end.energy = None;
+        (self.end.energy, self.end.branch) = (None, None);
     }
 
     /// Restarts after a discontinuity that did the given work, J. The current step must have been ended. `pose` is the pose at the present

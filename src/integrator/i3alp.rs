@@ -77,12 +77,14 @@ pub struct MacroStep {
     last: [f64; 2],
     /// Longest sub-step after the last rejection, s.
     shorter: f64,
+    /// Whether the system could not compute a step near a bifurcation, so that this method tries the rest.
+    uncrossed: bool,
 }
 
 impl MacroStep {
     /// Starts a macro step of `h` seconds.
     pub fn of(h: f64) -> Self {
-        Self { rest: h, work: 0, last: [h, f64::INFINITY], shorter: h }
+        Self { rest: h, work: 0, last: [h, f64::INFINITY], shorter: h, uncrossed: false }
     }
 
     /// Continues in `mode`, in one step or in error-controlled sub-steps. Fails if a fixed step cannot be solved, a sub-step fails its
@@ -105,6 +107,11 @@ impl MacroStep {
         let limits = Limits { passage, tolerance, imbalance: Imbalance::of_third_order(tolerance, settings.energy_scale) };
         while self.rest > 0.0 {
             self.check_work(settings)?;
+            if !self.uncrossed
+                && let Some(h) = system.must_cross(&state.q, &state.v, state.substep.min(self.rest), self.rest)
+            {
+                return Ok(Progress::Blocked(h));
+            }
             let mut substep = Substep { of: self, settings, state, mode, limits: StepLimits::NONE };
             if let Progress::Blocked(h) = driver::step(&mut substep, system, &limits)? {
                 return Ok(Progress::Blocked(h));
@@ -126,9 +133,11 @@ impl MacroStep {
         if let Some(transit) = transit {
             state.counters.rescued += 1;
             *mode = state.pass_through(system, transit, settings.regularization)?;
-            self.rest -= transit.duration;
+            self.work += 1;
+            self.rest = if transit.duration >= self.rest { 0.0 } else { self.rest - transit.duration };
         } else {
-            state.substep = self.shorter;
+            self.uncrossed = true;
+            state.substep = state.substep.min(self.shorter);
             state.counters.rejected += 1;
         }
         self.advance(system, settings, state, mode)

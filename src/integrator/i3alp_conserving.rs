@@ -20,8 +20,9 @@ mod newton;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::checks::{Beginning, Checked, Imbalance};
+use super::state::branch_if_checked;
 use super::{
-    Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, Posed, State, StepError, StepIncrement, Work, equilibrium,
+    Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, Posed, State, StepError, StepIncrement, Transit, Work, equilibrium,
 };
 use crate::vector::Vector;
 use fallback::{ConservingEnd, Rest, Step, from_equilibrium};
@@ -65,6 +66,8 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     energy: Option<f64>,
     /// Signs of the singularity determinants at q, see [`super::System::configuration_signs`].
     pub configuration_signs: u8,
+    /// Last branch that a checked state of the motion determined, see [`super::System::branch`].
+    branch: Option<u8>,
     /// Counters since the start.
     pub counters: Counters,
     history: History<K>,
@@ -109,7 +112,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     pub fn start<const M: usize, S: Discrete<N, M, K>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
         let configuration_signs = system.configuration_signs(&system.pose(&q));
         let counters = Counters::default();
-        Self { q, v, work: Work::default(), energy: None, configuration_signs, counters, history: History::NONE }
+        let branch = branch_if_checked(system, &q, &v);
+        Self { q, v, work: Work::default(), energy: None, configuration_signs, branch, counters, history: History::NONE }
     }
 
     /// Notes a discontinuity of the inputs. It makes higher differences of the history useless, so a parabola is used until the history is
@@ -122,7 +126,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     /// Notes a discontinuity of the motion or the machine that did the given work, J, and clears the history.
     pub fn restart(&mut self, work: Work) {
         self.work += work;
-        (self.energy, self.history) = (None, History::NONE);
+        (self.energy, self.branch, self.history) = (None, None, History::NONE);
         self.counters.restarts += 1;
     }
 
@@ -285,13 +289,32 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let Some(beginning) = beginning else { return Ok(()) };
         let energy = system.energy(&self.q, end, &self.v);
         self.energy = Some(energy);
+        self.branch = system.branch(&self.q, &self.v).or(self.branch);
         beginning.check(system, Imbalance::of_conserving(settings.energy_scale), &self.checked(energy), over.h)
     }
 
     /// The quantities that a step's checks compare, with the given energy, J.
     fn checked(&self, energy: f64) -> Checked<'_, N> {
-        let &Self { ref q, ref v, work, configuration_signs, .. } = self;
-        Checked { q, v, a: &Vector::ZERO, energy, work, configuration_signs }
+        let &Self { ref q, ref v, work, configuration_signs, branch, .. } = self;
+        Checked { q, v, a: &Vector::ZERO, energy, work, configuration_signs, branch }
+    }
+
+    /// Moves the run to the end of a transit past a bifurcation of the constraints, which the system has computed.
+    #[cold]
+    pub fn cross<const M: usize, S: Discrete<N, M, K>>(&mut self, system: &S, transit: &Transit<N>) -> Result<(), StepError> {
+        let Transit { q, v, known, .. } = transit;
+        if !(q.is_finite() && v.is_finite()) {
+            return Err(StepError::NotFinite);
+        }
+        (self.q, self.v, self.energy, self.history) = (*q, *v, None, History::NONE);
+        if let Some((_, work)) = known {
+            self.work += *work;
+        }
+        self.branch = branch_if_checked(system, q, v).or(self.branch);
+        self.counters.count_sign_changes(&mut self.configuration_signs, system.configuration_signs(&system.pose(q)));
+        self.counters.substeps += 1;
+        self.counters.rescued += 1;
+        Ok(())
     }
 
     /// A step so short that q̈ changes only by round-off.

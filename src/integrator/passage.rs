@@ -109,6 +109,12 @@ pub trait Passage<const N: usize> {
         false
     }
 
+    /// Length of the next step, s, of at most `longest`, that the system has to compute itself, because the motion is on a branch of the
+    /// constraints and so near a bifurcation that the coordinates do not determine the branch. `h` is the expected length of a step, s.
+    fn must_cross(&self, _q: &Vector<N>, _v: &Vector<N>, _h: f64, _longest: f64) -> Option<f64> {
+        None
+    }
+
     /// Factor on q̇ at the end of a step of h seconds that restores the energy. Fails if the energy has changed too much.
     fn energy_scale(&self, _before: &EnergyBalance, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Result<f64, StepError> {
         Ok(1.0)

@@ -81,6 +81,8 @@ pub struct State<const N: usize, const M: usize> {
     pub energy: Option<f64>,
     /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
     pub configuration_signs: u8,
+    /// Last branch that a checked state of the motion determined, see [`System::branch`]; `None` before, and after the motion was replaced.
+    pub branch: Option<u8>,
     /// Whether the motion is on a ray through a vertex; then nothing is projected.
     pub on_ray: bool,
     /// Number of other branches on which the last start from rest at a vertex could have left.
@@ -104,6 +106,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             power: Work::default(),
             energy: None,
             configuration_signs,
+            branch: None,
             on_ray: false,
             alternatives: 0,
             counters: Counters::default(),
@@ -116,6 +119,7 @@ impl<const N: usize, const M: usize> State<N, M> {
         let pose = system.pose(&q);
         state.reinitialize(system, &pose, regularization);
         state.energy = energy_if_checked(system, &state.q, &pose, &state.v);
+        state.branch = branch_if_checked(system, &state.q, &state.v);
         state
     }
 
@@ -148,8 +152,8 @@ impl<const N: usize, const M: usize> State<N, M> {
     /// The quantities that a step's checks compare; `None` if the energy is not known.
     #[inline(always)]
     pub(super) fn checked(&self) -> Option<Checked<'_, N>> {
-        let &Self { ref q, ref v, ref a, energy, work, configuration_signs, .. } = self;
-        energy.map(|energy| Checked { q, v, a, energy, work, configuration_signs })
+        let &Self { ref q, ref v, ref a, energy, work, configuration_signs, branch, .. } = self;
+        energy.map(|energy| Checked { q, v, a, energy, work, configuration_signs, branch })
     }
 
     /// Counts the determinants that changed sign, and stores the new signs.
@@ -159,8 +163,9 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Copies the end of an accepted step. The method sets work, predictor and step length.
     pub(super) fn take_over(&mut self, end_state: &StepEnd<N, M>) {
-        let &StepEnd { q, v, a, lambda, power, energy, configuration_signs } = end_state;
+        let &StepEnd { q, v, a, lambda, power, energy, configuration_signs, branch } = end_state;
         (self.q, self.v, self.a, self.lambda, self.power, self.energy) = (q, v, a, lambda, power, energy);
+        self.branch = branch.or(self.branch);
         self.on_ray = false;
         self.count_sign_changes(configuration_signs);
         self.counters.substeps += 1;
@@ -176,6 +181,7 @@ pub(super) struct StepEnd<const N: usize, const M: usize> {
     pub(super) power: Work,
     pub(super) energy: Option<f64>,
     pub(super) configuration_signs: u8,
+    pub(super) branch: Option<u8>,
 }
 
 /// Energy of a motion, J, if steps are checked.
@@ -189,11 +195,22 @@ fn energy_if_checked<const N: usize, const M: usize, S: System<N, M>>(
     if system.features().checks { Some(system.energy(q, pose, v)) } else { None }
 }
 
+/// Branch of a motion, if steps are checked and the motion determines it.
+#[inline(always)]
+pub(super) fn branch_if_checked<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    q: &Vector<N>,
+    v: &Vector<N>,
+) -> Option<u8> {
+    if system.features().checks { system.branch(q, v) } else { None }
+}
+
 impl<const N: usize, const M: usize> StepEnd<N, M> {
     /// End at q and q̇ with given q̈ and λ.
     pub(super) fn new<S: System<N, M>>(system: &S, [q, v, a]: [Vector<N>; 3], pose: &S::Pose, lambda: Vector<M>) -> Self {
         let (power, energy) = (system.forces(&q, pose, &v).1, energy_if_checked(system, &q, pose, &v));
-        Self { q, v, a, lambda, power, energy, configuration_signs: system.configuration_signs(pose) }
+        let branch = branch_if_checked(system, &q, &v);
+        Self { q, v, a, lambda, power, energy, configuration_signs: system.configuration_signs(pose), branch }
     }
 
     /// End at q and q̇ with q̈ and λ from equilibrium.
@@ -202,7 +219,8 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
         let (forces, power) = system.forces(&q, pose, &v);
         let (a, lambda) = equilibrium_under(system, &forces, Posed { q: &q, pose, v: &v }, mass);
         let energy = energy_if_checked(system, &q, pose, &v);
-        Self { q, v, a, lambda, power, energy, configuration_signs: system.configuration_signs(pose) }
+        let branch = branch_if_checked(system, &q, &v);
+        Self { q, v, a, lambda, power, energy, configuration_signs: system.configuration_signs(pose), branch }
     }
 
     /// End at q and q̇ with q̈, λ and power set to 0.
@@ -215,6 +233,7 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
             power: Work::default(),
             energy: energy_if_checked(system, &q, pose, &v),
             configuration_signs: system.configuration_signs(pose),
+            branch: branch_if_checked(system, &q, &v),
         }
     }
 

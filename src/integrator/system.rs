@@ -47,7 +47,8 @@ pub trait System<const N: usize, const M: usize> {
     fn configuration_signs(&self, _pose: &Self::Pose) -> u8 {
         0
     }
-    /// Sines of the angles between the posture and each singularity; [`System::configuration_signs`] are their signs.
+    /// Sines of the angles between the posture and each singularity; [`System::configuration_signs`] are their signs. All are 0 only where
+    /// the constraints lose rank, so the largest is the distance from there, rad.
     fn determinants(&self, _pose: &Self::Pose) -> [f64; CONFIGURATION_SIGNS] {
         [0.0; CONFIGURATION_SIGNS]
     }

@@ -1,17 +1,24 @@
-//! Crossing of a bifurcation of the closure with coaxial motors, a posture with all links in line. The twelve coordinates may fail there,
-//! but the link angles on a closure branch are regular. If the method of a run is blocked there, the run takes one sub-step in the link
-//! angles.
+//! Steps near a bifurcation of the closure with coaxial motors, a posture with all links in line. The twelve coordinates resolve neither
+//! the branch of the closure nor friction that sticks there, but the link angles on a closure branch are regular. So `i3alp` and the
+//! conserving method leave steps of a motion on a branch to this file.
 
 use super::angles::{AngleSystem, Angles, LINK_INDICES, angles_of, legs};
 use super::five_bar::FiveBar;
 use super::model::Model;
 use super::state::Core;
 use crate::integrator::dense::{DenseStep, Horizon, Schemes, Settings};
-use crate::integrator::{Events, Posed, Transit, equilibrium};
-use crate::mechanism::COORDINATES;
+use crate::integrator::{EnergyBalance, Events, Passage, Posed, Transit, equilibrium};
+use crate::mechanism::coordinates::angles_by_leg;
+use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates};
 
 /// Distance from all links in line, rad, below which the twelve coordinates may fail.
 const NEAR_BIFURCATION: f64 = 1e-2;
+
+/// Distance from all links in line, rad, below which a step of the conserving method may leave its branch.
+const LEAST_DISTANCE: f64 = 1e-4;
+
+/// Longest step in the link angles, s, so that its work stays small.
+const LONGEST: f64 = 5e-3;
 
 /// Largest number of evaluations of a step across a bifurcation.
 const MOST_WORK: u32 = 20_000;
@@ -30,6 +37,38 @@ pub(super) fn is_near(model: &Model, [q, v]: [&Angles; 2], h: f64) -> bool {
 fn angle_to_bifurcation(q: &Angles) -> f64 {
     let [left, elbow, _, right] = LINK_INDICES;
     f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())
+}
+
+/// Length of a step, s, of at most `longest`, from coordinates and velocities on a closure branch so near its bifurcation that steps of `h`
+/// seconds in the twelve coordinates may fail or leave the branch. There they do not resolve friction either: the closure of the tip
+/// constrains one direction only with the square of the distance.
+pub(super) fn must_cross<const BARE: bool>(
+    system: &FiveBar<'_, BARE>,
+    [q, v]: [&Coordinates; 2],
+    h: f64,
+    longest: f64,
+) -> Option<f64> {
+    is_within(system, NEAR_BIFURCATION, [q, v], h).then_some(longest.min(LONGEST))
+}
+
+/// Whether a step of `h` seconds of the conserving method may leave its closure branch.
+pub(super) fn may_leave_branch<const BARE: bool>(system: &FiveBar<'_, BARE>, at: [&Coordinates; 2], h: f64) -> bool {
+    is_within(system, LEAST_DISTANCE, at, h)
+}
+
+/// Whether a motion on a closure branch is within a distance, rad, of a bifurcation, or comes there within `h` seconds.
+#[inline(always)]
+fn is_within<const BARE: bool>(system: &FiveBar<'_, BARE>, distance: f64, at: [&Coordinates; 2], h: f64) -> bool {
+    system.model.mechanism.geometry.base_distance == 0.0 && is_on_branch_within(system.model, distance, at, h)
+}
+
+#[cold]
+fn is_on_branch_within(model: &Model, distance: f64, [q, v]: [&Coordinates; 2], h: f64) -> bool {
+    let [by_leg, rates] = [q, v].map(angles_by_leg);
+    let (q, v) = (angles_of(q), angles_of(v));
+    let [left, elbow, _, right] = LINK_INDICES;
+    let turn = h * f64::max((v[elbow] - v[left]).abs(), (v[right] - v[left]).abs());
+    angle_to_bifurcation(&q) <= distance.max(turn) && ClosureBranch::of(&model.mechanism.geometry, by_leg, rates).is_some()
 }
 
 /// Step of h seconds along a closure branch, integrated in the link angles; `None` if the motion is on no branch or the step fails.
@@ -53,4 +92,16 @@ pub(super) fn crossing(system: FiveBar<'_>, from: &Core, h: f64) -> Option<Trans
     let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
     let a = sample.pose.velocities(legs(&a)) + sample.pose.centripetal(legs(&sample.v));
     Some(Transit { q, v, duration: h, on_ray: false, passed: false, from_rest: None, known: Some((a, sample.work)) })
+}
+
+/// Step of [`crossing`] with its rates scaled to the energy if no force dissipates it.
+pub(super) fn conserving_crossing(system: FiveBar<'_>, from: &Core, h: f64) -> Option<Transit<COORDINATES>> {
+    let transit = crossing(system, from, h)?;
+    if !system.model.conservative {
+        return Some(transit);
+    }
+    let [kinetic, potential, power] = AngleSystem::new(system).energies(&angles_of(&from.q), &angles_of(&from.v));
+    let before = EnergyBalance { energy: kinetic + potential, power };
+    let scale = system.energy_scale(&before, &transit.q, &transit.v, h).ok()?;
+    Some(Transit { v: scale * transit.v, ..transit })
 }

@@ -3,14 +3,14 @@
 
 use std::borrow::Cow;
 
-use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles, legs};
+use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles, angles_of, legs};
 use super::five_bar::FiveBar;
 use crate::effects::{FrictionElement, FrictionElements, Motion, Wrench};
 use crate::hybrid::{
-    Extremes, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues, Mode, StickSlip,
-    StickSlips, stick_velocity,
+    Extremes, FRICTION_PLACES, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues,
+    Mode, StickSlip, StickSlips, stick_velocity,
 };
-use crate::integrator::{Events, Inconsistency, Path, Posed, System};
+use crate::integrator::{Events, Implicit, Inconsistency, Path, Posed, System};
 use crate::mechanism::coordinates::{THETA, angles_by_leg};
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, MULTIPLIERS, Pose};
 use crate::vector::Vector;
@@ -111,6 +111,13 @@ impl<const BARE: bool> Frictional<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE
     fn stick_velocity(&self) -> f64 {
         stick_velocity(self.model.settings.error_tolerance)
     }
+
+    fn holding_at_rest(&self, at: Posed<'_, Pose, COORDINATES>) -> [f64; FRICTION_PLACES] {
+        match self.by_branch(self.mode, [at.q, at.v]) {
+            Some(by_branch) => by_branch.torques_at_rest(&angles_of(at.q), &angles_of(at.v)),
+            None => self.torques_at_rest(at.q, at.v),
+        }
+    }
 }
 
 impl<'a> Events<ANGLES> for AngleSystem<'a> {
@@ -203,17 +210,30 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
         if !self.features().may_stick {
             return mode;
         }
-        let still =
-            self.closure_branch([q, v].map(angles_by_leg)).map_or(StickSlips::OPEN, |branch| StickSlips::OPEN.on_branch(branch));
-        mode.with_stick_slip(FiveBar::on(self, mode.with_stick_slip(still)).resolved(q, v))
+        mode.with_stick_slip(match self.by_branch(mode.with_stick_slip(StickSlips::OPEN), [q, v]) {
+            Some(by_branch) => by_branch.resolved(&angles_of(q), &angles_of(v)),
+            None => FiveBar::on(self, mode.with_stick_slip(StickSlips::OPEN)).resolved(q, v),
+        })
+    }
+
+    /// The machine in its link angles, on the closure branch of a motion, in a mode; `None` if the motion is on no branch. Near a posture with
+    /// all links in line, only the equations of the branch determine the directions in which the machine can move; in the twelve
+    /// coordinates the regularisation would allow more, and friction would hold any load.
+    fn by_branch(&self, mode: Mode, [q, v]: [&Coordinates; 2]) -> Option<AngleSystem<'_>> {
+        let closure_branch = self.closure_branch([q, v].map(angles_by_leg))?;
+        let stick_slip = mode.stick_slip.on_branch(closure_branch);
+        let mode = mode.with_stick_slip(stick_slip).with_closure_branch(Some(closure_branch));
+        Some(AngleSystem::new(self.general()).in_mode(mode))
     }
 
     /// Refuses stick-slip states that coordinates and velocities do not allow. `just_stopped` allows the residual rates of a stop.
     pub(super) fn check_stick_slip(&self, [q, v]: [&Coordinates; 2], just_stopped: bool) -> Result<(), Inconsistency> {
-        let possible = if self.features().may_stick {
-            self.are_possible(q, v, just_stopped)
-        } else {
+        let possible = if !self.features().may_stick {
             self.mode.stick_slip == StickSlips::OPEN
+        } else if let Some(by_branch) = self.by_branch(self.mode, [q, v]) {
+            by_branch.are_possible(&angles_of(q), &angles_of(v), just_stopped)
+        } else {
+            self.are_possible(q, v, just_stopped)
         };
         if possible { Ok(()) } else { Err("its stick-slip states do not fit its rates and loads") }
     }

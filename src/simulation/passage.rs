@@ -281,6 +281,10 @@ impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
         bifurcation::is_near(self.model, [&angles_of(q), &angles_of(v)], h)
     }
 
+    fn must_cross(&self, q: &Coordinates, v: &Coordinates, h: f64, longest: f64) -> Option<f64> {
+        bifurcation::must_cross(self, [q, v], h, longest)
+    }
+
     fn energy_scale(&self, before: &EnergyBalance, q: &Coordinates, v: &Coordinates, h: f64) -> Result<f64, StepError> {
         AngleSystem::new(self.general()).energy_scale_unless(f64::INFINITY, before, [&angles_of(q), &angles_of(v)], h)
     }

@@ -3,6 +3,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::bifurcation;
 use super::commands::Commands;
 use super::dense_run::DenseRun;
 use super::five_bar::FiveBar;
@@ -197,7 +198,7 @@ impl Run {
                 if let Some([q, v]) = motion {
                     (run.core.q, run.core.v) = (q, v);
                 }
-                run.core.energy = None;
+                (run.core.energy, run.core.branch) = (None, None);
                 run.restart(model, (inputs, turns), work);
             }
             Integrator::Conserving(Conserving { state, .. }) => {
@@ -277,12 +278,28 @@ impl ByMacroSteps for MacroStepped {
     }
 }
 
+impl Conserving {
+    /// Makes a step of h seconds in the link angles, on the closure branch, and scales the rates to the energy if nothing dissipates it.
+    /// Returns whether the step was possible.
+    #[cold]
+    #[inline(never)]
+    fn cross(&mut self, system: FiveBar<'_>, h: f64) -> Result<bool, StepError> {
+        let core = self.state.state(&system, self.settings.equilibrium);
+        let Some(transit) = bifurcation::conserving_crossing(system, &core, h) else { return Ok(false) };
+        self.state.cross(&system, &transit)?;
+        Ok(true)
+    }
+}
+
 impl ByMacroSteps for Conserving {
     fn change(&mut self, _: &Model, _: (&Inputs, &[i64; 4])) {
         self.state.change();
     }
 
     fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError> {
+        if bifurcation::may_leave_branch(system, [&self.state.q, &self.state.v], h) && self.cross(system.general(), h)? {
+            return Ok(());
+        }
         self.state.advance(system, &system.general(), &self.settings, h)
     }
 
