@@ -17,8 +17,8 @@ const CEILINGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/ceilings.csv");
 /// [`Memory::above`].
 const MEMORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/memory.csv");
 
-/// Largest growth of reads and writes. As with instructions, another compiler keeps other numbers in registers, which takes most of it. Between two
-/// runs, copies from other addresses change at most 0.6 %.
+/// Largest growth of reads and writes. Another compiler keeps other numbers in registers, as with instructions. Between two runs, copies
+/// from other addresses change them by at most 0.6 %.
 const MORE_ACCESSES: f64 = 1.03;
 
 /// Largest growth of misses: a factor and a number per operation. Addresses decide which data share sets of the cache. Between runs whose
