@@ -63,6 +63,11 @@ impl<const N: usize, const M: usize> State<N, M> {
         if self.on_ray && !system.is_near_vertex(&self.q) {
             return Err("it passes a constraint singularity, but none is near");
         }
+        if let (Some(stored), Some(present)) = (self.branch, system.branch(&self.q, &self.v))
+            && stored != present
+        {
+            return Err("its branch of the closure is not the one of its angles");
+        }
         bounds.hold(system, [&self.q, &self.v], self.on_ray)
     }
 }

@@ -346,6 +346,6 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if self.energy.is_some_and(|energy| !energy.is_finite()) {
             return Err("its energy is not finite");
         }
-        self.state(system, regularization).check(system, bounds)
+        State { branch: self.branch, ..self.state(system, regularization) }.check(system, bounds)
     }
 }
