@@ -73,6 +73,9 @@ impl Clone for Commands {
     }
 }
 
+/// Takes macro steps with constant inputs. A trait object, so that the library has one copy of what calls it.
+type Step<'a> = dyn FnMut(&Inputs, MacroSteps) -> Result<(), StepFailure> + 'a;
+
 /// More commands wait than there is room for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TooManyCommands {
@@ -147,7 +150,7 @@ impl Commands {
         delay: Delay,
         signal: &Signal,
         (h, steps): (f64, u64),
-        step: impl FnMut(&Inputs, MacroSteps) -> Result<(), StepFailure>,
+        step: &mut Step<'_>,
     ) -> Result<(), StepFailure> {
         let (acting, age) = (self.acting, self.age);
         self.before.clone_from(&self.waiting);
@@ -158,13 +161,7 @@ impl Commands {
     }
 
     /// Takes macro steps. A failure leaves the commands undefined.
-    fn take(
-        &mut self,
-        delay: Delay,
-        signal: &Signal,
-        (h, steps): (f64, u64),
-        mut step: impl FnMut(&Inputs, MacroSteps) -> Result<(), StepFailure>,
-    ) -> Result<(), StepFailure> {
+    fn take(&mut self, delay: Delay, signal: &Signal, (h, steps): (f64, u64), step: &mut Step<'_>) -> Result<(), StepFailure> {
         let (references, rounded) = (signal.references(), ROUND_OFF * h);
         self.give(delay, references)?;
         self.begin_due(rounded);

@@ -128,7 +128,7 @@ impl Following {
             return signal.over((h, steps), |inputs| self.step(inputs, one));
         };
         let Some(delay) = Delay::of(&self.simulation.model) else { unreachable!("the run has commands") };
-        let taken = commands.over(delay, signal, (h, steps), |inputs, steps| {
+        let taken = commands.over(delay, signal, (h, steps), &mut |inputs, steps| {
             (0..steps.count).try_for_each(|k| {
                 self.step(inputs, MacroSteps { count: 1, ..steps }).map_err(|failure| failure.after(k as f64 * steps.h))
             })
@@ -138,13 +138,14 @@ impl Following {
     }
 
     /// Time update by one macro step: motion, then covariance.
+    #[inline(never)]
     fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
         let Self { parameters, simulation: Simulation { model, run, parameters: machine }, believed, estimate } = self;
         let before = std::mem::replace(&mut estimate.inputs, *inputs);
         let (turns, from) = (run.turns, run.motion(model));
         let learned = estimate.estimator.learned();
         let [before, inputs] = &[&before, inputs].map(|inputs| by_true_angles(model, inputs, learned.as_ref()));
-        run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
+        run.advance_apart(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
         let perturbed = estimate.estimator.asks_for_parameters().then(|| Perturbed::new(machine, parameters.learns_lengths()));
         let scene = FollowedScene { model, inputs: *inputs, before, turns: &turns, learned: perturbed.as_ref() };
         estimate.estimator.predict(believed, &scene, [&from, &run.motion(model)], one.h);

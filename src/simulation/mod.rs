@@ -168,7 +168,7 @@ impl Simulation {
         }
         let before = self.run.clone();
         let one = MacroSteps { h, count: 1, open_ended: false, change: f64::INFINITY };
-        signal.over((h, steps), |inputs| self.run.advance(&self.model, inputs, one)).inspect_err(|_| self.run = before)
+        signal.over((h, steps), |inputs| self.run.advance_apart(&self.model, inputs, one)).inspect_err(|_| self.run = before)
     }
 
     /// Advances with servo references that act late.
@@ -179,7 +179,7 @@ impl Simulation {
             unreachable!("a run has commands if its model has a delay")
         };
         let before = run.clone();
-        let taken = commands.over(delay, signal, (h, steps), |inputs, steps| run.advance(model, inputs, steps));
+        let taken = commands.over(delay, signal, (h, steps), &mut |inputs, steps| run.advance_apart(model, inputs, steps));
         if taken.is_err() {
             *run = before;
         }

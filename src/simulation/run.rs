@@ -146,6 +146,12 @@ impl Run {
         }
     }
 
+    /// As [`advance`](Self::advance), in a function of its own: one copy for all calls but the plain one keeps the library small.
+    #[inline(never)]
+    pub(super) fn advance_apart(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
+        self.advance(model, inputs, steps)
+    }
+
     /// Present state, with the q̈ and λ that belong to `inputs`.
     pub(super) fn state(&self, model: &Model, inputs: &Inputs) -> State {
         let &Self { turns, energy_at_start, .. } = self;

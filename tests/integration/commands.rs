@@ -161,11 +161,18 @@ fn no_step_passes_a_command_that_waits() {
     }
 }
 
+/// Number of the method `i3alpConserving`.
+const CONSERVING: i32 = 5;
+
 /// An instance with servos that act 17.3 ms late, ready to step.
 fn host(method: i32, values: &[(&str, f64)]) -> Host {
     let host = Host::initializing(0.0, None);
     assert_eq!(host.set_boolean(&[reference("servo.enabled")], &[1]), fmi2OK);
     assert_eq!(host.set_integer(&[reference("solver.method")], &[method]), fmi2OK);
+    if method == CONSERVING {
+        // Without a fallback, a step that does not converge is discarded.
+        assert_eq!(host.set_integer(&[reference("solver.maxWork")], &[0]), fmi2OK);
+    }
     let start = [("base.distance", 0.1), ("init.theta[1]", START[0]), ("init.theta[2]", START[1]), ("servo.delay", 0.0173)];
     let references = [("servo.theta[1]", START[0]), ("servo.theta[2]", START[1])];
     for (name, value) in start.iter().chain(&references).chain(values) {
@@ -392,11 +399,10 @@ fn followed(delay: f64, learns: bool) -> ([f64; 2], u32) {
 fn a_twin_with_the_delay_of_its_machine_follows_it() {
     for learns in [false, true] {
         let [(right, alarms), (wrong, others)] = [0.017, 0.0].map(|delay| followed(delay, learns));
-        println!("learns {learns}: {right:?} {alarms}, {wrong:?} {others}");
         // Readings are off by up to half a step. Measured: 0.21 mrad and no alarm; without the delay 1.3 mrad and 990 of 1000 samples.
-        assert!(right[0] < 0.5 * QUANTUM && right[1] < 1.0 && alarms == 0, "learns {learns}: {right:?}, {alarms} alarms");
-        assert!(wrong[0] > 3.0 * right[0], "learns {learns}: {wrong:?}");
-        assert!(learns || others > 500, "{others} alarms");
+        // The normalised square is 2 at most: 1 for each encoder, less where intervals confine the angles.
+        assert!(right[0] < 0.5 * QUANTUM && right[1] < 2.0 && alarms == 0, "learns {learns}: {right:?}, {alarms} alarms");
+        assert!(wrong[0] > 3.0 * right[0] && others > 500, "learns {learns}: {wrong:?}, {others} alarms");
     }
 }
 
