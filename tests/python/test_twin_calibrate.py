@@ -366,6 +366,54 @@ def test_rough_data(fmu: Path, library: Library, tmp_path: Path) -> None:
         assert abs(value - truth) < 4 / 1.96 * bar, name
 
 
+def test_the_delay_of_commands_is_found_and_written(fmu: Path, library: Library, tmp_path: Path) -> None:
+    """17.3 ms, between two samples, also with other unknowns; the commands before a series are unknown, so that its first 0.1 s are not compared."""
+    names = ["servo.delay", "payload.mass", "servo.kp"]
+    columns = made(library, names, [0.0173 / 0.02, 1.2, 0.7], 2.0)
+    code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, names)
+    assert code == 0 and figures["stages"][0]["name"] == "delay"
+    for name, truth in zip(names, (0.0173, 0.024, 1.4), strict=True):
+        value, bar = (next(iter(figures["unknowns"][name][key].values())) for key in ("value", "bar95"))
+        assert abs(value - truth) < 4 / 1.96 * bar, name
+    assert figures["unknowns"]["servo.delay"]["bar95"]["servo.delay"] < 1e-3
+    written = scenes.values(tmp_path / "out" / "calibrated.json", library)
+    assert written["servo.delay"] == figures["unknowns"]["servo.delay"]["value"]["servo.delay"]
+
+
+@pytest.mark.parametrize("delay", [0.005, 0.0173, 0.1])
+def test_commands_that_act_late_are_those_of_the_unit(library: Library, delay: float) -> None:
+    """A part of a series moves as the unit does that was given all commands.
+
+    A ramp stands still over each macro step of 1 ms, and these steps begin at other times: 6e-5 rad/s were measured, and 1 µrad.
+    """
+    columns = made(library, [], [], 0.5)
+    names = tuple(name for name in columns if name.startswith("servo"))
+    commands = np.column_stack([columns[name] for name in names])
+    samples = data.Samples(columns["time"], np.zeros((len(commands), 2)), commands, names)
+    base = BASE | {"servo.delay": delay, "solver.errorTolerance": 1e-10}
+    device = motion.Machine(library, base, [])
+    device.tolerance(1e-10)
+    unit = device.unit
+    path = motion.Path(samples, "rate", library, trials.PERIOD)
+    start = dict(zip((f"init.{name}" for name in motion.SHOWN), (*trials.BEGIN, 0.0, 0.0), strict=True))
+    unit.reset(0.0, **(base | motion.METHOD | start), **path.first(np.zeros(2), np.ones(2)))
+    shown = [unit.numbers(motion.SHOWN)]
+    for k, time in enumerate(path.knots[1:].tolist()):
+        unit.update(dict(zip(names, path.commands[k].tolist(), strict=True)))
+        unit.ramp(dict(zip(names, path.slopes[k].tolist(), strict=True)))
+        unit.step_to(time)
+        shown.append(unit.numbers(motion.SHOWN))
+    middle = 30
+    for first in (0, middle):
+        part = samples.part(first, len(samples))
+        moved, _ = device.run(
+            motion.Path(part, "rate", library, trials.PERIOD), np.empty(0), motion.Start(np.array(shown[first]), 1)
+        )
+        apart = np.abs(moved - np.array(shown[first:]))
+        assert apart[:, :2].max() < 1e-5 and apart[:, 2:].max() < 2e-4, first
+    device.close()
+
+
 def test_series_of_a_clock_that_restarts_are_fitted_together(fmu: Path, library: Library, tmp_path: Path) -> None:
     """Two records with equal times in one file: no row is left out, and each is a series."""
     names = ["payload.mass", "link[2,3].mass"]

@@ -29,6 +29,9 @@ SHORTEST: Final = 1.0
 MOVES: Final = 0.05
 """Minimum motion of servo commands that counts as motion, rad."""
 
+EARLIER: Final = 0.1
+"""Time before a part of a series whose commands may act in it, s: the bound of `servo.delay`."""
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -46,14 +49,28 @@ class Samples:
     names: tuple[str, ...]
     """Names of the m inputs of the unit."""
 
+    earlier: "Samples | None" = None
+    """The samples of the last `EARLIER` s before a part of a series."""
+
     def __len__(self) -> int:
         return len(self.time)
 
     def part(self, first: int, last: int) -> "Samples":
         """Samples first to last - 1; times stay."""
-        return replace(
-            self, time=self.time[first:last], angles=self.angles[first:last], commands=self.commands[first:last]
-        )
+        earlier = self.earlier
+        if 0 < first < len(self):
+            begin = max(0, int(np.searchsorted(self.time, self.time[first] - EARLIER, side="right")) - 1)
+            earlier = self._rows(begin, first, None if begin else earlier)
+        return replace(self._rows(first, last), earlier=earlier)
+
+    def _rows(self, first: int, last: int, before: "Samples | None" = None) -> "Samples":
+        """Some samples, behind others."""
+        rows = [self.time[first:last], self.angles[first:last], self.commands[first:last]]
+        if before is not None:
+            own = (before.time, before.angles, before.commands)
+            rows = [np.concatenate(pair) for pair in zip(own, rows, strict=True)]
+        time, angles, commands = rows
+        return Samples(time, angles, commands, self.names)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from fivebar.twin.calibrate import assumptions
 from fivebar.twin.calibrate.data import Data, Samples
 from fivebar.twin.calibrate.motion import LOST, Between, Machine, Path, Start
-from fivebar.twin.calibrate.parameters import DELAY
+from fivebar.twin.calibrate.parameters import COMMANDS, DELAY
 from fivebar.twin.errors import TwinError
 from fivebar.twin.recording import Array
 
@@ -84,7 +84,8 @@ FEW: Final = 0.05
 """Maximum share of outliers."""
 
 DEEPEST: Final = 0.1
-"""Longest fitted delay, s. If the delay is fitted, samples within this time after a start are not compared."""
+"""Longest fitted delay, s. If the delay of encoders is fitted, samples within this time after a start are not compared; if commands act late, within
+this time after the beginning of a series."""
 
 PINNED: Final = 1e4
 """Weight of a combination of unknowns that keeps its value."""
@@ -93,7 +94,7 @@ Show = Callable[[str], None]
 
 
 STAGES: Final = (
-    ("delay", (DELAY, "servo.delay")),
+    ("delay", (DELAY, COMMANDS)),
     ("gravity", ("gravity.",)),
     ("drives and friction", ("servo.", "torque.", "viscous.", "friction.")),
     ("masses and geometry", ("",)),
@@ -185,6 +186,8 @@ class Fitter:
         """Unknowns that are fitted now; the others keep their values."""
         self.stages: list[Stage] = []
         self.delayed = any(p.name == DELAY for p in self.sought)
+        self.late = any(p.name == COMMANDS for p in self.sought) or float(machine.scene.get(COMMANDS, 0.0)) > 0.0
+        """Whether commands act late: then the first ones of a series act on samples whose own commands are unknown."""
 
     # --- pieces -----------------------------------------------------------------------------------------------------------------
 
@@ -192,6 +195,10 @@ class Fitter:
         """Cuts the series into pieces of about `length` s; each longer piece starts at the start of a shorter one."""
         found = []
         for series in self.data.series:
+            if self.late:
+                series = series.part(int(np.searchsorted(series.time, series.time[0] + DEEPEST)), len(series))
+            if not len(series):
+                continue
             span, count = series.time[-1] - series.time[0], 1
             for level in (self.longest, *reversed(LEVELS)):
                 if level >= length:

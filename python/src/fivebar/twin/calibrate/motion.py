@@ -7,14 +7,15 @@ from itertools import pairwise
 from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from fivebar.errors import UnitError
 from fivebar.instance import Unit
 from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
-from fivebar.twin.calibrate.data import Samples
-from fivebar.twin.calibrate.parameters import CONSTANTS, DELAY, Parameter, Values, assemble
+from fivebar.twin.calibrate.data import EARLIER, Samples
+from fivebar.twin.calibrate.parameters import COMMANDS, CONSTANTS, DELAY, Parameter, Values, assemble
 from fivebar.twin.recording import Array
 
 METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 2000}
@@ -23,6 +24,9 @@ METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 2000}
 SHOWN: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
 LOST: Final = 1e3
 """Angle after the failure of a run, rad."""
+
+SAME: Final = 1e-9
+"""Two times that differ by less are the same, s."""
 
 Between = Literal["rate", "linear", "hold"]
 """Commands between two samples: extrapolation of servo.theta with servo.omega, as in the twin; linear interpolation; or constant."""
@@ -39,15 +43,24 @@ class Start:
 
 
 class Path:
-    """Drive commands of a series, prepared for runs: at the times of samples and of lost samples (knots)."""
+    """Drive commands of a series, prepared for runs: at the times of samples and of lost samples (knots), and before them in the same series."""
 
     def __init__(self, samples: Samples, between: Between, library: Library, period: float):
         self.samples = samples
         self.time = samples.time - samples.time[0]
         self.inputs = library.blocks(samples.names)
         self.knots, self.rows = with_lost(self.time, period)
-        commands = at_knots(self.time, samples.commands, samples.names, self.knots)
-        steps = np.diff(self.knots)
+        earlier = samples.earlier
+        self.begin = 0
+        """Index of the first knot of `samples` among `all_knots`."""
+        self.all_knots, times, given = self.knots, self.time, samples.commands
+        if earlier is not None:
+            times = np.concatenate([earlier.time - samples.time[0], self.time])
+            given = np.concatenate([earlier.commands, samples.commands])
+            self.all_knots, _ = with_lost(times, period)
+            self.begin = len(self.all_knots) - len(self.knots)
+        commands = at_knots(times, given, samples.names, self.all_knots)
+        steps = np.diff(self.all_knots)
         slopes = np.zeros_like(commands[:-1])
         if between == "linear":
             slopes = np.diff(commands, axis=0) / steps[:, None]
@@ -57,25 +70,67 @@ class Path:
                 if name.startswith("servo.theta") and rate in samples.names:
                     slopes[:, j] = commands[:-1, samples.names.index(rate)]
         self.commands = commands
+        """(all knots, m)."""
         self.turned = np.array([[float(name == f"servo.theta[{i}]") for name in samples.names] for i in (1, 2)])
         """(2, m): 1 if a command is the servo angle of a motor."""
         self.torques = np.array([[float(name == f"tau[{i}]") for name in samples.names] for i in (1, 2)])
         """(2, m): 1 if a command is the torque of a motor."""
+        self.late = np.array([name.startswith("servo.") for name in samples.names], dtype=bool)
+        """(m): whether a command is one of a servo, which may act late."""
         self.slopes = slopes
-        """(knots - 1, m): rates of the commands after each knot but the last."""
-        self.ramps = [any(rates) for rates in slopes.tolist()]
+        """(all knots - 1, m): rates of the commands after each knot but the last."""
 
-    def true(self, offsets: Array, constants: Array) -> tuple[Array, Array]:
-        """Drive commands at the knots, and their rates.
+    def true(self, offsets: Array, constants: Array, delay: float = 0.0) -> "ActingCommands":
+        """Drive commands as they act, from the first knot of the samples to the last one, for a delay of the servos' commands in s.
 
         Servo angles become true angles: a servo closes its loop on the encoder, which includes the offset. Torques are multiplied by their constants.
         """
         factors = 1.0 + (constants - 1.0) @ self.torques
-        return np.asarray((self.commands - offsets @ self.turned) * factors), np.asarray(self.slopes * factors)
+        commands = np.asarray((self.commands - offsets @ self.turned) * factors)
+        slopes = np.asarray(self.slopes * factors)
+        if delay == 0.0 or not self.late.any():
+            return ActingCommands(self.knots, np.arange(len(self.knots)), commands[self.begin :], slopes[self.begin :])
+        late = self.all_knots + delay
+        inside = late[(late > self.knots[0]) & (late < self.knots[-1])]
+        gaps = np.abs(inside - self.knots[_nearest(self.knots, inside)])
+        times = np.sort(np.concatenate([self.knots, inside[gaps > SAME]]))
+        parts = []
+        for begins, columns in ((self.all_knots, ~self.late), (late, self.late)):
+            # A command before the first one is the first one.
+            last = np.searchsorted(begins, times + SAME, side="right") - 1
+            known, place = last >= 0, np.clip(last, 0, len(slopes) - 1)
+            rates = np.where(known[:, None], slopes[place], 0.0)
+            since = np.where(known, times - begins[place], 0.0)
+            parts.append(np.stack([commands[place] + rates * since[:, None], rates]) * columns)
+        found, rates = parts[0] + parts[1]
+        return ActingCommands(times, np.searchsorted(times, self.knots), found, rates[:-1])
 
     def first(self, offsets: Array, constants: Array) -> Values:
-        """The first commands, by name."""
-        return dict(zip(self.samples.names, self.true(offsets, constants)[0][0].tolist(), strict=True))
+        """The first commands, by name, as they are given."""
+        return dict(zip(self.samples.names, self.true(offsets, constants).commands[0].tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class ActingCommands:
+    """Drive commands of a run."""
+
+    times: Array
+    """(n): times at which they change, the knots among them, s."""
+
+    knots: NDArray[np.intp]
+    """Indices of the knots among the times."""
+
+    commands: Array
+    """(n, m)."""
+
+    slopes: Array
+    """(n - 1, m): rates of the commands after each time but the last."""
+
+
+def _nearest(knots: Array, times: Array) -> NDArray[np.intp]:
+    """Index of the nearest knot of each time."""
+    after = np.clip(np.searchsorted(knots, times), 1, len(knots) - 1)
+    return np.asarray(after - (times - knots[after - 1] < knots[after] - times))
 
 
 def with_lost(time: Array, period: float) -> tuple[Array, Array]:
@@ -105,9 +160,11 @@ def at_knots(time: Array, commands: Array, names: tuple[str, ...], knots: Array)
 class Player(Unit):
     """A unit that plays whole series. Commands and motion pass as arrays: one Python object per number takes half the time of a run."""
 
-    def play(self, path: Path, commands: Array, slopes: Array, motion: Array) -> None:
-        """Steps from the first knot to the last one with commands, (knots, m), and their rates; fills `motion`, (knots, 4), from its second row on."""
-        functions, component, times = self._functions, self._component, path.knots.tolist()
+    def play(self, path: Path, given: ActingCommands, motion: Array) -> None:
+        """Steps from the first time to the last one with the given commands; fills `motion`, (times, 4), from its second row on."""
+        functions, component, times = self._functions, self._component, given.times.tolist()
+        commands, slopes = (np.ascontiguousarray(each) for each in (given.commands, given.slopes))
+        ramps = [any(rates) for rates in slopes.tolist()]
         shown, count = self.library.blocks(SHOWN)[0].references, len(SHOWN)
         rows = (c_double * count * len(motion)).from_buffer(motion.data)
         [block] = path.inputs or [None]
@@ -120,7 +177,7 @@ class Player(Unit):
                 # fmi2OK and fmi2Warning are 0 and 1.
                 failed = block is not None and (
                     functions.fmi2SetReal(component, block.references, inputs, numbers[k]) > 1
-                    or path.ramps[k]
+                    or ramps[k]
                     and functions.fmi2SetRealInputDerivatives(
                         component, block.references, inputs, block.orders, rates[k]
                     )
@@ -152,23 +209,26 @@ class Machine:
     def run(self, path: Path, x: Array, start: Start) -> tuple[Array, int]:
         """Runs the motion; returns angles and rates, (knots, 4), and the assembly at the end."""
         self.runs += 1
-        out = np.full((len(path.knots), 4), LOST)
         values = assemble(self.scene, self.library, self.sought, x.tolist())
+        late = float(values.get(COMMANDS, self.library.variable(COMMANDS).start))
+        # The unit knows no commands before its start, so they are delayed here.
+        values[COMMANDS] = 0.0
+        given = path.true(self.offsets(x), self.constants(x), min(late, EARLIER))
+        out = np.full((len(given.times), 4), LOST)
         values |= {f"init.{name}": value for name, value in zip(SHOWN, start.state.tolist(), strict=True)}
         values["init.assembly"] = start.assembly
-        unit, offsets, constants = self.unit, self.offsets(x), self.constants(x)
+        unit = self.unit
         try:
-            started = {name: value for name, value in values.items() if name not in OFFSETS} | path.first(
-                offsets, constants
-            )
-            unit.reset(float(path.knots[0]), **started)
+            started = {name: value for name, value in values.items() if name not in OFFSETS}
+            started |= dict(zip(path.samples.names, given.commands[0].tolist(), strict=True))
+            unit.reset(float(given.times[0]), **started)
             out[0] = unit.numbers(SHOWN)
-            unit.play(path, *path.true(offsets, constants), out)
+            unit.play(path, given, out)
             (assembly,) = unit.numbers(("mode.assembly",))
         except UnitError as error:
             self.failure = str(error)
-            return out, start.assembly
-        return out, int(assembly) if assembly in (1, 2) else start.assembly
+            return out[given.knots], start.assembly
+        return out[given.knots], int(assembly) if assembly in (1, 2) else start.assembly
 
     def seen(self, path: Path, motion: Array, x: Array) -> Array:
         """Encoder angles at the samples' times, rad, (n, 2), with delay and offsets."""

@@ -21,7 +21,13 @@ from fivebar.twin.recording import Array
 Values = dict[str, float | int | bool]
 
 DELAY: Final = "encoder.delay"
-ADDITIONS: Final = {**dict.fromkeys(OFFSETS, ("rad", 0.2)), DELAY: ("s", 0.02)}
+COMMANDS: Final = "servo.delay"
+"""Delay of the commands of the servos, a parameter of the unit."""
+
+MUCH_DELAY: Final = 0.02
+"""Typical upper size of an unknown delay, s."""
+
+ADDITIONS: Final = {**dict.fromkeys(OFFSETS, ("rad", 0.2)), DELAY: ("s", MUCH_DELAY)}
 """Unknowns of the measurement, which are not parameters of the unit: SI unit, and typical upper size."""
 
 CONSTANT: Final = "torque.constant"
@@ -109,7 +115,7 @@ class Asked:
     """Examples of allowed names; offsets and delay of encoders and torque constants are only allowed if they are among them."""
 
 
-SOUGHT: Final = Asked("sought", (*USUAL, DELAY, CONSTANT))
+SOUGHT: Final = Asked("sought", (*USUAL, DELAY, COMMANDS, CONSTANT))
 
 
 def parameters(names: Sequence[str], library: Library, scene: Values, asked: Asked = SOUGHT) -> list[Parameter]:
@@ -154,6 +160,8 @@ def _parameter(name: str, library: Library, scene: Values, asked: Asked) -> Para
         # The weight in the plane does not depend on small tilts of an upright machine, and is the same on both sides.
         upright = name == "gravity.tilt" and abs(math.cos(base[0])) < UPRIGHT
         return Parameter(name, unit, members, base, False, MUCH_ANGLE, -20.0, -0.5 if upright else 0.0)
+    if name == COMMANDS:
+        return Parameter(name, unit, members, base, False, MUCH_DELAY, -base[0] / MUCH_DELAY, 0.0 if base[0] else 0.1)
     switch = SWITCHES.get(name.partition(".")[0])
     off = switch is not None and not scene.get(switch, False)
     if off or not any(base):
