@@ -17,9 +17,9 @@ use zip::{CompressionMethod, ZipArchive};
 /// Size limits of libraries for all platforms, bytes, by folder. Contents: five methods, two of them in a form for the bare mechanism and
 /// one for any scene; stick-slip friction, the corrector and model exchange, some 100 kB each; learning 180 kB (filter and flow again,
 /// for 24 errors instead of six); causes of an alarm 30 kB; doubt about a start 25 kB; reader of own start values 40 kB; checks of each
-/// step 40 kB; commands that act late and forecasts without later commands 40 kB. The file for macOS is for two processors and contains the names of its functions.
+/// step 40 kB; commands that act late 50 kB. The file for macOS is for two processors and contains the names of its functions.
 const LARGEST_SHIPPED: [(&str, usize); 4] =
-    [("linux64", 1_630_000), ("win64", 1_700_000), ("aarch64-linux", 1_330_000), ("darwin64", 3_060_000)];
+    [("linux64", 1_640_000), ("win64", 1_710_000), ("aarch64-linux", 1_340_000), ("darwin64", 3_080_000)];
 
 /// Size limit of a library by the Rust in use. Its standard library is optimised for speed and prints backtraces, some 240 kB.
 const LARGEST_HERE: usize = 1_900_000;
