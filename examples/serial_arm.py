@@ -27,6 +27,7 @@ LINK_2, LINK_3, LINK_4 = (
 )  # m: nearly a parallelogram, so that the right motor turns almost as link 2 does
 LIGHT = 1e-5  # kg
 STEP = 2 * np.pi / 2**14  # rad: resolution of the arm's encoders
+TORQUE = 0.1  # N.m: typical size of unknown torques, from friction, ripple and play
 DELAY = 0.012  # s: measured torques of the shoulder follow the commanded ones by this time
 
 
@@ -66,7 +67,8 @@ def scene(arm, first):
         "friction.enabled": True,
         "estimator.quantum[1]": STEP,
         "estimator.quantum[2]": 0,  # computed from both encoders
-        "estimator.sigma[2]": STEP / 2,
+        "estimator.sigma[2]": 3e-4,
+        "estimator.torqueScale": TORQUE,
     }
     # The elbow's rotor turns with gr theta2' - (gr + 1) theta1'. Its inertia about both joints goes to links 1 and 2. Its coupling of
     # both is constant and that of link 2 varies with the cosine of the elbow angle: they are equal for small angles if a part of the
