@@ -16,6 +16,9 @@ const REGION: &str = "benches::case::measured";
 /// The simulated first caches: size in bytes, ways, bytes per line. They are the same on every host, and as large as on most processors.
 const FIRST_CACHE: &str = "32768,8,64";
 
+/// Copies of memory without `rep movsb`, which some processors have and others do not: valgrind counts an instruction for each byte of it.
+const PLAIN_COPIES: &str = "glibc.cpu.hwcaps=-ERMS,-FSRM";
+
 /// Counts of a case, per counted operation.
 #[derive(Clone, Debug)]
 pub(crate) struct Count {
@@ -68,7 +71,7 @@ impl Counting {
         let mut valgrind = Command::new("valgrind");
         // The environment lies on the stack, and a copy to where it lies takes two instructions less from some places: each machine counts the same.
         let path = std::env::var_os("PATH").unwrap_or_default();
-        valgrind.env_clear().env("PATH", path);
+        valgrind.env_clear().env("PATH", path).env("GLIBC_TUNABLES", PLAIN_COPIES);
         valgrind.args(["--tool=callgrind", &format!("--toggle-collect={REGION}"), &format!("--dump-after={REGION}")]);
         if calls {
             valgrind.args([
