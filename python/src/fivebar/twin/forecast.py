@@ -73,7 +73,7 @@ class Forecaster(Rider):
         content, begin, book, parameters = stored(state)
         unit.restore(content, begin)
         scales = setup.values | parameters
-        if book.on_plan and any(scales.get(name) for name in SCALES):
+        if (self.known is not None or book.on_plan) and any(scales.get(name) for name in SCALES):
             # The plan says which commands follow.
             unit.update(dict.fromkeys(SCALES, 0.0))
         if self.made % PROBABILITY_EVERY == 0:
