@@ -17,6 +17,7 @@ mod effects_known; // effects against results known without our code
 mod effects_reference; // scenes with effects against solutions in quadruple precision, through the C functions
 mod effects_stiff; // friction through zero, stops and contact hit fast, high gains
 mod estimator; // transitions against differences, statistics of samples, faults of encoders, grouping
+mod gripper; // a stand-in for a gripper with servo drives whose gain and delay are unknown
 mod kinks; // loads with events: contacts, stops, dissipated energy
 mod learning; // learned values of a machine: found, left at their priors, bounded, stored
 mod payload; // mass that joins the tip during a run, or leaves it

@@ -177,7 +177,10 @@ fn unknown_commands_change_no_estimate() {
             assert_eq!(constant.estimate(), walks.estimate(), "{time} s");
         }
     }
-    for (narrow, wide) in constant.sigmas().into_iter().flatten().zip(walks.sigmas().into_iter().flatten()) {
-        assert!(wide > 1.1 * narrow, "{wide} {narrow}");
+    // The assembly of a machine that has never moved is in doubt, which makes the bands of the distal links wide.
+    for (narrow, wide) in constant.sigmas().iter().zip(&walks.sigmas()) {
+        for link in MEASURED {
+            assert!(wide[link] > 1.1 * narrow[link], "{wide:?} {narrow:?}");
+        }
     }
 }
