@@ -95,6 +95,13 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     values[((values.len() - 1) as f64 * share).round() as usize]
 }
 
+/// Forecast of the measured angles, rad, with their standard deviations.
+struct Prediction {
+    sample: usize,
+    theta: [f64; 2],
+    sigma: [f64; 2],
+}
+
 /// Follows a machine whose commands arrive late, and forecasts every 50 ms along the last command.
 fn follow(machine: &Parameters, believed: &Parameters, seconds: f64, seed: u64) -> Figures {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -107,7 +114,7 @@ fn follow(machine: &Parameters, believed: &Parameters, seconds: f64, seed: u64) 
     let (samples, steps) = ((seconds / PERIOD).round() as usize, (PERIOD / H).round() as usize);
     let mut alarmed = false;
     let mut readings = Vec::new();
-    let mut predictions: [Vec<(usize, [f64; 2], [f64; 2])>; 2] = Default::default();
+    let mut predictions: [Vec<Prediction>; 2] = Default::default();
     for sample in 0..samples {
         let time = sample as f64 * PERIOD;
         let command = plan.next(&mut random);
@@ -127,11 +134,11 @@ fn follow(machine: &Parameters, believed: &Parameters, seconds: f64, seed: u64) 
                 let from = [1, 10 * steps][place];
                 ahead.advance_along(&Signal::held(at(command)), H, (until * steps - from) as u64).expect("a forecast");
                 let (motion, sigma) = (ahead.motion(), ahead.sigmas()[0]);
-                predictions[place].push((
-                    sample + until,
-                    MEASURED.map(|link| motion.theta[link]),
-                    MEASURED.map(|link| sigma[link]),
-                ));
+                predictions[place].push(Prediction {
+                    sample: sample + until,
+                    theta: MEASURED.map(|link| motion.theta[link]),
+                    sigma: MEASURED.map(|link| sigma[link]),
+                });
             }
         }
         following.advance_along(&Signal::held(at(command)), H, (steps - 1) as u64).expect("a step");
@@ -142,7 +149,7 @@ fn follow(machine: &Parameters, believed: &Parameters, seconds: f64, seed: u64) 
         }
     }
     for (place, predictions) in predictions.iter().enumerate() {
-        for (sample, theta, sigma) in predictions.iter().filter(|(sample, ..)| *sample < readings.len()) {
+        for Prediction { sample, theta, sigma } in predictions.iter().filter(|each| each.sample < readings.len()) {
             for i in 0..2 {
                 let width = 1.959_964 * sigma[i].hypot(QUANTUM / 12f64.sqrt());
                 figures.ahead[place].push([(readings[*sample][i] - theta[i]).abs(), width]);
