@@ -495,7 +495,7 @@ impl Moments {
         (masses.trace() - masses.sum() / MASS_COUNT) / MASS_COUNT
     }
 
-    /// Mixes in the moments of the mixture; `off` is the mean error of motion and force minus the mean error of the mixture.
+    /// Adds the mixture's share to the moments of this model. `off`: mean error of motion and force of this model minus the mixture's.
     fn mix(&mut self, all: &Self, off: &Error, Mixing { own, any, .. }: Mixing) {
         let share = (own * any).sqrt();
         let (by, off) = ((self.error - all.error) * share, off * share);

@@ -198,7 +198,7 @@ impl Machine {
     }
 }
 
-/// Sets the lengths of links and base, m; `length` gets the number and the present length.
+/// Sets the lengths of links and base, m. `length` maps an index (links 0 to 3, base 4) and the present length to the new one.
 pub fn set_lengths(geometry: &mut Geometry, mut length: impl FnMut(usize, f64) -> f64) {
     let lengths = geometry.links.iter_mut().map(|link| &mut link.length).chain([&mut geometry.base_distance]);
     lengths.enumerate().for_each(|(i, of)| *of = length(i, *of));

@@ -216,7 +216,7 @@ impl Estimator {
         Some(estimate.motion)
     }
 
-    /// New and valid samples, about the estimate.
+    /// New and valid samples of both encoders, with their deviations from the estimate. Ends a forecast, unless the estimate is coasting.
     fn receive(
         &mut self,
         machine: &Machine,

@@ -136,7 +136,7 @@ fn time_derivative(observed: &Observed<'_, f64>, variable: &Variable, order: i32
     let positive = usize::try_from(order).ok().filter(|order| *order > 0);
     positive.and_then(|order| real(observed, output, order)).ok_or_else(|| {
         CallError::error(match (1..=ORDERS).take_while(|order| real(observed, output, *order).is_some()).count() {
-            0 => format!("{} has no derivatives with respect to time here: positions, angles and their rates do.", variable.name),
+            0 => format!("the unit gives no time derivatives of {}, only of positions, angles and their rates.", variable.name),
             1 => format!("order of the derivative of {} is {order}, must be 1.", variable.name),
             most => format!("order of the derivative of {} is {order}, must be 1 to {most}.", variable.name),
         })

@@ -33,7 +33,7 @@ pub trait Discrete<const N: usize, const M: usize, const K: usize>: System<N, M>
     fn is_conservative(&self) -> bool;
 }
 
-/// Increment of a step in the form that forces are evaluated on.
+/// Increment of a step, as passed to the evaluation of forces.
 #[derive(Clone, Copy, Debug)]
 pub struct StepIncrement<'a, S, const N: usize> {
     /// Coordinates q₀ at the beginning, m and rad.

@@ -65,7 +65,7 @@ fn at_tip([x, y]: [f64; 2]) -> Legs2 {
     Legs2 { x: both(x), y: both(y) }
 }
 
-/// Increment of a step in the form that forces are evaluated on.
+/// Increment of a step, as passed to the evaluation of forces.
 pub type Increment<'a> = StepIncrement<'a, Secant, COORDINATES>;
 
 /// A system with slopes of its mean forces.

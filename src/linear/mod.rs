@@ -74,7 +74,7 @@ pub enum Definiteness {
 pub struct TangentSystem<'a> {
     /// Slopes of the forces at the step's end.
     pub slopes: Slopes,
-    /// Arms of the tip at the step's end.
+    /// Lever arms between the tip and the angle of link 2, at the step's end.
     pub arm: TipArm,
     /// Pose at the step's end.
     pub pose: &'a Pose,

@@ -319,8 +319,8 @@ fn opposite(simulation: &Simulation) -> f64 {
     f64::max((left - distal_right).sin().abs(), (right - distal_left).sin().abs())
 }
 
-/// A motion stays on its branch, on which nothing is singular. With the closure of the tip and a larger e the same second would lose
-/// 1.6e-7 J at 1e-10 rad, 4.4e-5 J at 1e-12 and 1.7e-3 J at 1e-13 rad, in 27,078 sub-steps.
+/// The motion stays on its branch, whose own closure is never singular. If the loop were closed at the tip, with a larger e, this second
+/// would lose 1.6e-7 J at 1e-10 rad, 4.4e-5 J at 1e-12 rad, and 1.7e-3 J in 27,078 sub-steps at 1e-13 rad.
 #[test]
 fn coaxial_machines_pass_their_straight_postures() {
     for (tolerance, energy) in [(1e-8, 2e-7), (1e-10, 1e-9), (1e-12, 2e-11), (1e-13, 1e-11)] {

@@ -163,7 +163,7 @@ fn a_stop_returns_no_more_energy_than_it_took() {
             let energies = energies(&simulation);
             deepest = deepest.max(leg(&simulation).0 - 2.0);
             assert!(energies.kinetic + energies.potential <= before * (1.0 + 1e-4), "{damping}: {energies:?}");
-            // The default tolerance in a hit at 10 rad/s that lasts 10 ms.
+            // Energy error of the default tolerance in a hit at 10 rad/s that lasts 10 ms.
             assert!(energies.error.abs() < 1e-4 * before, "{damping}: {energies:?}");
         }
         let kept = energies(&simulation).kinetic / before;

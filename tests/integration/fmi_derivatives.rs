@@ -314,7 +314,7 @@ fn what_has_no_derivative_is_refused_by_name() {
         ("tip.x", 0, "order of the derivative of tip.x is 0, must be 1 to 2."),
         ("tip.x", 3, "order of the derivative of tip.x is 3, must be 1 to 2."),
         ("omega[1]", 2, "order of the derivative of omega[1] is 2, must be 1."),
-        ("contact.fx", 1, "contact.fx has no derivatives with respect to time here: positions, angles and their rates do."),
+        ("contact.fx", 1, "the unit gives no time derivatives of contact.fx, only of positions, angles and their rates."),
         ("passive.theta[1]", 1, "passive.theta[1] is not an output: only outputs have output derivatives."),
         ("solver.steps", 1, "solver.steps (value reference 900) is of type Integer, not Real."),
         ("tau[1]", 1, "tau[1] is not an output: only outputs have output derivatives."),

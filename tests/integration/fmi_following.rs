@@ -314,7 +314,7 @@ fn a_lost_machine_is_found_again() {
             begun += usize::from(host.take().iter().any(|line| line.text.contains("the estimate diverged and restarts")));
             if begun == 1 && status(host) == "inconsistent" {
                 assert!(step < 2250, "late: {step}");
-                // Without samples it coasts and reports nothing twice.
+                // Without samples the estimator coasts and does not report its restart again.
                 let mut here = host.state();
                 for step in step + 1..step + 4 {
                     assert_eq!(host.do_step(f64::from(step) * H, H), fmi2OK);

@@ -299,7 +299,7 @@ impl Host {
     /// Calls the state functions with null pointers.
     pub(super) fn null_states(&self) -> Vec<fmi2Status> {
         let (c, mut size) = (self.component, 0);
-        // SAFETY: the component is live; the test is about null.
+        // SAFETY: the component is live; the unit must refuse these null pointers.
         unsafe {
             vec![
                 fmi2GetFMUstate(c, null_mut()),
@@ -314,7 +314,7 @@ impl Host {
     /// Calls getters and setters of every type with null arrays of this length.
     pub(super) fn null_arrays(&self, length: usize) -> Vec<fmi2Status> {
         let c = self.component;
-        // SAFETY: the component is live; the test is about null.
+        // SAFETY: the component is live; the unit must refuse these null pointers.
         unsafe {
             vec![
                 fmi2GetReal(c, null(), length, null_mut()),
@@ -332,7 +332,7 @@ impl Host {
     /// Calls fmi2GetReal and fmi2SetReal with references but without values, and status functions with null.
     pub(super) fn null_values(&self) -> Vec<fmi2Status> {
         let (c, reference) = (self.component, 100);
-        // SAFETY: the component is live; the test is about null.
+        // SAFETY: the component is live; the unit must refuse these null pointers.
         unsafe {
             vec![
                 fmi2GetReal(c, &reference, 1, null_mut()),
@@ -347,7 +347,7 @@ impl Host {
     /// Calls the functions of derivatives with null arrays of this length.
     pub(super) fn null_derivatives(&self, length: usize) -> [fmi2Status; 3] {
         let c = self.component;
-        // SAFETY: the component is live; the test is about null.
+        // SAFETY: the component is live; the unit must refuse these null pointers.
         unsafe {
             [
                 fmi2SetRealInputDerivatives(c, null(), length, null(), null()),

@@ -281,7 +281,7 @@ def test_missing_extras_are_one_sentence(
 def test_extras_that_are_too_old_are_one_sentence(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Missing packages come first, then each old one with its version and the allowed ones; the oldest allowed version is not listed."""
+    """The message names missing packages first, then each old one with its version and the required one; the oldest allowed version passes."""
     oldest = {requirement.name: next(iter(requirement.specifier)).version for requirement in extras.requirements("all")}
     monkeypatch.setattr(extras, "_installed", oldest.get)
     extras.need("all")

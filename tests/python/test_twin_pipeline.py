@@ -192,7 +192,7 @@ def test_forecasts_worse_than_promised_change_the_exit_code(tmp_path: Path, fmu:
     [
         (["--broker", "192.0.2.1:1883"], "user, password and TLS (ca_file) are required there"),
         (["--broker", "nonsense"], "HOST:PORT is expected"),
-        (["--seconds", "0"], "more than 0 are needed"),
+        (["--seconds", "0"], "seconds must be more than 0, not 0"),
         (["--faults", "lost=7"], "NAME=SHARE is expected"),
         (["--unit", "a/b"], "letters, digits, - and _ are allowed"),
     ],

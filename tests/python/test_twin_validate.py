@@ -147,7 +147,7 @@ def test_later_commands_may_be_known(
     words = ["validate", str(tmp_path / "record.csv"), "--scene", "swing", "--fmu", str(fmu), "--known-commands"]
     assert main([*words, "--out", str(tmp_path / "none")]) == 2 and not (tmp_path / "none").exists()
     assert (
-        "has no commands that forecasts could know; servo.theta, servo.omega or tau is needed"
+        "has no commands for the forecasts to use; it needs a column servo.theta, servo.omega or tau"
         in capsys.readouterr().err
     )
 

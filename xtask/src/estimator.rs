@@ -17,7 +17,7 @@ pub(crate) fn estimator(only: &str, part: f64, seeds: u64) -> Result<()> {
         cargo.args(["--seeds", &seeds.to_string()]);
         cargo
     };
-    // If only the comparison is requested, its runs are written below, for the filters in Python.
+    // If only the comparison is requested, skip the tables. The block below writes the runs, which the Python filters then read.
     let own = if COMPARE.contains(only) && !only.is_empty() { Ok(()) } else { process::run(tracking().args(["--only", only])) };
     if COMPARE.contains(only) {
         let folder = paths::in_root("target/estimator");

@@ -567,7 +567,8 @@ const HEADER: [&str; 12] = [
     "wrong with OK",
 ];
 
-/// Scenes with these numbers grouped by effect, by lengths, and in total. Passes early and wrong ends to `complain`.
+/// Runs the scenes of these numbers and counts their runs by effect, by lengths, and in total. Each run that stops early or is wrong gives
+/// `complain` a sentence.
 pub fn measure(numbers: &[u64], complain: impl Fn(&str) + Sync) -> Vec<Coaxial> {
     let find = |number: &u64| {
         let finding = Scene::new(*number).find();

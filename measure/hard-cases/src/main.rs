@@ -109,7 +109,7 @@ enum Task {
         #[arg(long, default_value_t = 0)]
         from: u64,
     },
-    /// Compute the ends of the random scenes with kinks by the independent programs and add missing ones to a table
+    /// Compute where random scenes with non-smooth loads end, by the independent programs; append scenes that the table lacks
     Ends {
         /// The table
         #[arg(long, default_value = "measure/hard-cases/data/ends.csv")]

@@ -98,7 +98,7 @@ pub struct Outcome {
     pub position: f64,
     /// Largest constraint violation at velocity level, m/s, scaled likewise.
     pub velocity: f64,
-    /// Position and velocity violation without outputs that are not judged.
+    /// Largest violations at position and at velocity level among the judged outputs, in the units above.
     pub judged: [f64; 2],
     /// Largest number of sub-steps in a macro step (the mean over a communication step with several macro steps).
     pub most: u64,

@@ -29,7 +29,8 @@ pub enum Watch {
         /// Judged interval, s.
         between: [f64; 2],
     },
-    /// Turns back before the vertex: the odd link never changes sides. Follows the reference all the way.
+    /// Turns back before the vertex: the offset of the link [`Vertex::odd`] keeps its sign in `between`. The whole path stays within
+    /// `within` of the reference.
     Turns {
         /// The vertex.
         vertex: Vertex,

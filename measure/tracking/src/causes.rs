@@ -184,10 +184,10 @@ pub fn table(runs: u64, first: u64) -> Table {
             Figure::untargeted(name, share(&all), remark)
         };
         table.push(judged);
-        // Calibration: of the causes reported with a probability in each range, the same fraction must be right.
+        // Calibration, shown and not judged: in each range, the share of right causes should equal their mean reported probability.
         for [least, most] in [[0.0, 0.7], [0.7, 0.94], [0.94, 1.0]] {
-            let of: Vec<Report> =
-                all.iter().filter(|report| report.cause > 0 && (least..most).contains(&report.probability)).copied().collect();
+            let holds = |probability: f64| least <= probability && (probability < most || most == 1.0);
+            let of: Vec<Report> = all.iter().filter(|report| report.cause > 0 && holds(report.probability)).copied().collect();
             let mean = 100.0 * of.iter().map(|report| report.probability).sum::<f64>() / of.len().max(1) as f64;
             let name = format!("causes of probability {least} to {most}, {}", encoder.name);
             table.push(Figure::untargeted(name, share(&of), format!("of {}; mean probability {mean:.0} %", of.len())));

@@ -154,8 +154,8 @@ fn vertices_are_passed() {
     }
 }
 
-/// Samples that arrive 2 ms late select the machine's branch after a vertex. All of these are lost if the old angle is compared with the
-/// current branches.
+/// Behind a vertex, samples that arrive 2 ms late still select the machine's branch. The machines of all these seeds are lost if the old
+/// angle is compared with the branches' current angles.
 #[test]
 fn delayed_samples_choose_the_branch_behind_a_vertex() {
     for seed in [3, 43, 58, 61, 72, 81, 91] {

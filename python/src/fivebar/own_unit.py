@@ -199,7 +199,7 @@ class _Description:
         except ElementTree.ParseError:
             self.root = ElementTree.Element("")
         if self.root.get("modelName") != PLAIN:
-            raise FiveBarError(f"{plain} is not the plain unit, from which others are written")
+            raise FiveBarError(f"{plain} is not the plain unit; units of your own can only be made from the plain unit")
         self.library = self.root.get("guid", "")
         """GUID of the plain unit, which is compiled into the library."""
 
@@ -298,7 +298,7 @@ def _read(plain: Path) -> dict[str, bytes]:
     except (OSError, zipfile.BadZipFile) as error:
         raise FiveBarError(f"{plain} cannot be read: {error}") from None
     if MODEL not in files or PAGE not in files:
-        raise FiveBarError(f"{plain} is not the plain unit, from which others are written")
+        raise FiveBarError(f"{plain} is not the plain unit; units of your own can only be made from the plain unit")
     return files
 
 

@@ -50,7 +50,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return if same { Ok(()) } else { Err("a step of length 0 changes the state") };
         }
         if !settings.schemes.allow(self.scheme, settings.error_tolerance) {
-            return Err("its current step was made by another scheme");
+            return Err("the current step was made by another scheme than this method uses");
         }
         if self.elapsed == self.length { Ok(()) } else { self.check_inside(system, settings, bounds) }
     }

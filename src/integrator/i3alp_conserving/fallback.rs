@@ -283,7 +283,7 @@ where
         let mut v = d / h;
         let is_closed =
             |v: &Vector<N>| system.phi_q_times(&pose, v).max_norm() <= RATE_VIOLATION * v.max_norm() * system.length_scale();
-        // Close to a vertex one correction leaves a residual, but later steps assume that there is none.
+        // Close to a vertex one correction leaves a residual of Φ_q v. Later steps assume Φ_q v = 0, so the correction is repeated.
         for _ in 0..MOST_PROJECTIONS {
             v += velocity_correction(system, &pose, &mass, &v);
             if is_closed(&v) {

@@ -60,7 +60,7 @@ pub struct Demand {
 /// Largest constraint violation, scaled to the paper's machine: at position level, m, and at velocity level, m/s.
 const CONSTRAINTS: [f64; 2] = [1e-12, 1e-9];
 
-/// Largest decrease of dissipated energy, relative to the largest energy: round-off.
+/// Largest allowed decrease of the dissipated energy, relative to the largest energy. It allows for round-off only.
 pub const TAKEN_BACK: f64 = 1e-12;
 
 /// Requirements on the conserving step at 1 ms.

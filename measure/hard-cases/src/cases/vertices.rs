@@ -59,7 +59,7 @@ pub(super) fn crossings(extent: Extent) -> Case {
     }
 }
 
-/// Near misses by 1e-2 or 1e-3 rad: the motion turns back before the vertex and follows the same method's solution at 1e-11 rad. At 2 and
+/// Near misses by 1e-2 or 1e-3 rad: the motion turns back before the vertex and follows the solution of i3-ALP at 1e-11 rad. At 2 and
 /// 10 rad/s Runge-Kutta steps of 1 µs check the end; at 40 rad/s their own energy error is too large.
 fn near_misses(extent: Extent) -> Case {
     let directions = extent.pick(5_u32, 1);

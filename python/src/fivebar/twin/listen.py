@@ -20,7 +20,7 @@ ANY: Final = "+"
 def hear(broker: Broker, unit: str, seconds: float) -> Recording:
     """The samples of `unit` ("": of the only one) that come within `seconds`. Raises `TwinError` if none do, or if a twin would refuse most of them."""
     if not 0 < seconds < threading.TIMEOUT_MAX:
-        raise TwinError(f"seconds are {seconds:g}; more than 0 are needed")
+        raise TwinError(f"seconds must be more than 0, not {seconds:g}")
     check_broker(broker)
     starter.check_broker(broker)
     heard: list[tuple[str, bytes, int]] = []

@@ -347,7 +347,7 @@ def run_folder(out: Path) -> Path:
 def configure(options: Options, folder: Path) -> Config:
     """The configuration of a run with its files in `folder`."""
     if not options.seconds > 0:
-        raise TwinError(f"seconds are {options.seconds:g}; more than 0 are needed")
+        raise TwinError(f"seconds must be more than 0, not {options.seconds:g}")
     if options.hidden is not None and (options.csv or options.machine == "none"):
         raise TwinError(
             f"hidden is {options.hidden}, but only the stand-in has hidden properties: --csv and --machine none are not allowed with it"

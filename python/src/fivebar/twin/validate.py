@@ -98,7 +98,7 @@ def follow(config: Config, known_commands: bool = False) -> tuple[dict[str, Any]
         if known_commands:
             if not commanded:
                 raise TwinError(
-                    f"{config.machine.csv} has no commands that forecasts could know; servo.theta, servo.omega or tau is needed"
+                    f"{config.machine.csv} has no commands for the forecasts to use; it needs a column servo.theta, servo.omega or tau"
                 )
             ahead.forecaster.known = source.commands(scene.read(Path(config.scene)))
         count = 0

@@ -110,7 +110,7 @@ def plan_of(options: Options) -> tuple[bytes, Plan, dict[str, float]]:
         if getattr(options, name) < least:
             raise TwinError(f"{name} is {getattr(options, name)}; {least} or more is allowed")
     if not (math.isfinite(options.seconds) and options.seconds > 0):
-        raise TwinError(f"seconds are {options.seconds:g}; more than 0 are needed")
+        raise TwinError(f"seconds must be more than 0, not {options.seconds:g}")
     library = Library(options.fmu)
     try:
         given = dict(USUAL) if not options.vary else spreads(dict(part.partition("=")[::2] for part in options.vary))
