@@ -100,7 +100,7 @@ pub struct Inertia {
 }
 
 impl Inertia {
-    /// Computes the constant part for a mechanism.
+    /// Computes the constant part of the mass matrix of a mechanism.
     pub fn new(mechanism: &Mechanism) -> Self {
         let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
         let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));

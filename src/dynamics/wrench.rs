@@ -471,7 +471,7 @@ mod tests {
             let (law, [q, d, v]) = (Linear::new(seed), [0, 30, 60].map(|more| coordinates(seed + more)));
             let arm = TipArm::of_step(&mechanism.secant(&mechanism.pose(&q), legs(&angles_of(&d))), &d, &v);
             let (slopes, weights) = (law.slopes(law.wrench), [number(seed), number(seed + 1)]);
-            // Motion of the position of link 2 with the turns of its leg's links.
+            // For each link of the leg, proximal and distal: displacement of the position of link 2 per unit turn of that link; arbitrary here.
             let carried = |seed: usize| [[number(seed), number(seed + 1)], [number(seed + 2), number(seed + 3)]];
             let (rows, columns) = (carried(seed), carried(seed + 9));
             let with_arm = |[p, d]: [Planar; 2], arm: Planar| [p, [0, 1].map(|i| d[i] + turned(arm)[i])];

@@ -49,7 +49,7 @@ pub(super) type Columns = [Learned; MODELS];
 /// Covariance of the errors of the parameters.
 type Square = SMatrix<f64, LEARNED, LEARNED>;
 
-/// Payload and friction, which go with a common factor of the masses.
+/// Payload and friction. If all masses grow by a common factor, these parameters grow with them ([`carried`]).
 const CARRIED: Range<usize> = MASSES.end..LOADS;
 /// Number of masses, the first parameters.
 const MASS_COUNT: f64 = MASSES.end as f64;

@@ -126,8 +126,8 @@ impl Linkage {
         None
     }
 
-    /// Closed state displaced by an error as in [`Frame::displaced`]. If the motors determine the posture, they turn by exactly this error:
-    /// closing alone also moves them by a term quadratic in the error, which samples contradict.
+    /// Displaces a state by an error ([`Frame::displaced`]) and closes the loop. Closing adds a quadratic term to the motor angles, which
+    /// samples contradict. If the motors determine the posture, this term is removed.
     pub(super) fn displaced(&self, at: &Frame, from: &LinkState, error: [f64; 4]) -> Option<(LinkState, Frame)> {
         let (mut state, mut frame) = self.closed(at.displaced(from, error))?;
         let turned = libm::hypot(error[0], error[1]);

@@ -16,7 +16,7 @@ pub fn equilibrium<const N: usize, const M: usize, S: System<N, M>>(
     (a, lambda, power)
 }
 
-/// Acceleration q̈ and power at rates `v`, for coordinates that differ by `by` from coordinates with a known pose.
+/// Acceleration q̈ and power at q + `by` and rates `v`. `pose` is the pose at q; the pose at q + `by` is derived from it if possible.
 #[inline(always)]
 pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,

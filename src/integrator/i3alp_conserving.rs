@@ -256,8 +256,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         self.conclude(step.system, settings, &step.increment(secant, [d, acting]), v, *x)
     }
 
-    /// Advances the run to q₀ + d with the velocity `v`. The work is evaluated with the rates in `over`, at which the forces acted. The
-    /// unknowns `x` of a root enter the history; an end without a root clears it.
+    /// Ends the step at q₀ + d with velocity `v`. The work uses the rates in `over`, at which the forces were evaluated. If Newton's
+    /// method found a root, its unknowns `x` enter the predictor's history; otherwise the history is cleared.
     fn conclude<const M: usize, S: Discrete<N, M, K>>(
         &mut self,
         system: &S,

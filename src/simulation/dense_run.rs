@@ -109,7 +109,7 @@ impl DenseRun {
             0 => steps.change,
             same => steps.change.min(same as f64 * steps.h),
         };
-        // A step that ends with the call is not interpolated.
+        // A step that cannot pass the end of the call needs no interpolant: no output lies inside it.
         Horizon { output: if limit > rest { rest } else { f64::INFINITY }, limit }
     }
 

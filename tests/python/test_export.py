@@ -161,7 +161,7 @@ def test_foxglove_s_file_in_the_reader_of_mcap(story: Path, kept: Kept, tmp_path
 
 @pytest.mark.nightly
 def test_rerun_s_file_in_the_reader_of_rerun(story: Path, kept: Kept, tmp_path: Path) -> None:
-    """Series and times are equal to the bit, and each change of the scene is present."""
+    """Rerun's own reader finds in the file the record's series and times, equal to the bit, and each change of the scene."""
     from rerun.chunk import RrdReader
 
     assert main(["export", str(story), "--rerun", "-o", str(tmp_path)]) == 0

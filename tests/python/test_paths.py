@@ -281,7 +281,7 @@ def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bo
             {},
             line((0.05, 0.3), (-0.2, 0.3)),
             (0.1 - math.sqrt(0.42**2 - 0.3**2), 0.3),
-            "comes to the end of the right leg's reach, where that leg is stretched",
+            "reaches the limit of the right leg: 0.42 m from its motor the leg is stretched",
         ),
         # Watt's curve on the axis: y = sqrt(l^2 - (l - a)^2).
         (

@@ -407,7 +407,7 @@ def test_a_result_in_python_is_a_mapping_of_columns(fmu: Path) -> None:
     [
         (
             lambda: fivebar.run("swing", stopTime=1),
-            "'stopTime' is not a variable: use the arguments stop_time and step_size, s, or in a scene's file stopTime and stepSize in the key 'experiment'",
+            "'stopTime' is not a variable: in Python use the arguments stop_time and step_size, s; in a scene's file stopTime and stepSize belong under 'experiment'",
         ),
         (
             lambda: fivebar.run(["swing"]),  # type: ignore[arg-type]

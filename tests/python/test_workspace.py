@@ -66,7 +66,7 @@ def discs(values: dict[str, float | bool], working: Working) -> list[workspace.D
 
 
 def test_known_discs() -> None:
-    """The paper's machine has exactly known discs; DexTAR's disc above the motors ends at Watt's curve on the axis."""
+    """Discs match references: exact ones for the paper's machine; DexTAR's disc above the motors touches Watt's curve on the axis."""
     below, above = discs({}, OUT)
     assert (above.assembly, below.assembly) == ("plus", "minus")
     assert [above.x, above.y, above.radius] == pytest.approx([0.21, 0.28, 0.07], abs=1e-6)

@@ -21,7 +21,7 @@ const LOCK: &str = "python/lock.txt";
 /// The pinned `uv`.
 const UV: &str = "xtask/python/uv.txt";
 
-/// Packages that need other versions than the lock's. They are in a separate folder, which a test adds to Python's path.
+/// Packages whose dependencies conflict with the lock. They are installed in a folder of their own, which one test adds to Python's path.
 const APART: &str = "xtask/python/cofmupy.txt";
 
 /// The groups of [`PROJECT`].

@@ -293,8 +293,8 @@ def check(scene: Scene, machine: Machine, working: Working, sequence: Sequence[P
         circle = legs[0]
         raise Blocked(
             place,
-            f"{_where(piece, place)} comes to the end of the {SIDES[circle.leg]} leg's reach, where that leg is {circle.posture}: "
-            f"{circle.radius:.6g} m from its motor",
+            f"{_where(piece, place)} reaches the limit of the {SIDES[circle.leg]} leg: {circle.radius:.6g} m from its motor "
+            f"the leg is {circle.posture}",
         )
     nearest = min(curves, key=lambda curve: float(Obstacles([], [curve.tip]).distance(place[None])[0]))
     if nearest.kind == "stop":

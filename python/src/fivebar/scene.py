@@ -256,8 +256,8 @@ class Scene:
         """The parameter or input with this name."""
         if name.replace("_", "").lower() in (key.lower() for key in scene_file.SECONDS):
             raise FiveBarError(
-                f"{name!r} is not a variable: use the arguments stop_time and step_size, s, or in a scene's file stopTime and stepSize in the key "
-                f"'{scene_file.EXPERIMENT}' of a scene's file"
+                f"{name!r} is not a variable: in Python use the arguments stop_time and step_size, s; in a scene's file stopTime and stepSize "
+                f"belong under '{scene_file.EXPERIMENT}'"
             )
         return self.variables.settable(name)
 

@@ -393,7 +393,7 @@ class _Document:
         return box
 
     def _within_box(self, element: Element, frame: _Frame, box: Floats | None) -> _Frame:
-        """The frame inside a viewBox, fitted into the viewport by preserveAspectRatio."""
+        """The frame of an element's content: its viewBox mapped onto the viewport as preserveAspectRatio says."""
         if box is None:
             return frame
         wide, high = frame.viewport

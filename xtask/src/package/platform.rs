@@ -90,7 +90,7 @@ const WINDOWS_SYSTEM: [&str; 3] = ["kernel32", "msvcrt", "ntdll"];
 pub(crate) enum Scope {
     /// This machine, with the Rust in use: quick.
     Here,
-    /// All shipped platforms, each built with its own standard library.
+    /// All shipped platforms; the standard library is built from source for each.
     All,
 }
 
