@@ -123,7 +123,7 @@ impl Measurement {
         alone
     }
 
-    /// The sample of encoder i if lengths and mounting angles are learned. These are then no errors of the reading. Errors of disc and
+    /// The sample of encoder i while lengths and mounting angles are learned, and so are no errors of the reading. Errors of disc and
     /// scale, with the standard deviation `further`, rad, and model errors remain.
     pub(super) fn learned(&self, i: usize, further: f64) -> Self {
         let of_model = if self.unrevealed > 0.0 { ERROR_ALONE } else { 0.0 };
@@ -143,8 +143,8 @@ impl Measurement {
         Innovation { residual: wrapped(change), row, noise: 2.0 * self.single_variance() }
     }
 
-    /// Whether the axis rests. Quantisation and persistent errors are then common to all its samples, so they are no noise, and nothing is
-    /// learned from the samples.
+    /// Whether the axis rests. Quantisation and persistent errors of a resting axis are common to all its samples. They are no noise, and
+    /// nothing is learned from the samples.
     pub(super) fn rests(&self) -> bool {
         self.rate.abs() * CORRELATION_TIME < self.quantum.max(self.persistent)
     }
@@ -414,9 +414,9 @@ impl Encoder {
     }
 
     /// Judges whether a reading that has jumped stays away, by the change of its innovation since the last sample. If the innovation moves
-    /// by more than half the jump, the axis was struck, and the reading returns. After several rejections in a row, it returns only if its
-    /// second difference is as large, too: an estimate from one encoder may turn quickly and change the innovations. `witnessed`: the
-    /// estimate has settled on the other encoder.
+    /// by more than half the jump, the axis was struck, and the reading counts again. After several rejections in a row, the reading counts
+    /// only if its second difference is as large, too: an estimate from one encoder may turn quickly and change the innovations.
+    /// `witnessed`: the estimate has settled on the other encoder.
     pub(super) fn stays_away(&mut self, sample: &Measurement, witnessed: bool) -> bool {
         let (lasting, change) = (self.trust.is_lasting(), wrapped(self.innovation_change(sample)).abs());
         self.innovation = sample.innovation.residual;

@@ -63,8 +63,8 @@ impl Frame {
         self.holding() * -SMatrix::from_columns(&self.readings_by_geometry()).transpose()
     }
 
-    /// Derivatives of the link angles with respect to the lengths of links and base: −J⁺ of the closure gap. They are damped next to a
-    /// vertex, because J⁺ is unbounded there and does not describe finite errors of the lengths.
+    /// Derivatives of the link angles with respect to the lengths of links and base: −J⁺ of the closure gap. The derivatives are damped
+    /// next to a vertex, because J⁺ is unbounded there and does not describe finite errors of the lengths.
     pub(super) fn turned_by_lengths(&self) -> Matrix4x5<f64> {
         let part = (self.smallest / NEAR_VERTEX).min(1.0);
         let mut gaps = Matrix2x5::zeros();

@@ -256,14 +256,16 @@ impl Learning {
         all
     }
 
-    /// Pauses learning while the bank of the estimate continues alone: the correlations of the parameters with it are lost.
+    /// Pauses learning while the bank of the estimate continues alone: the correlations of the parameters with the estimate's bank are
+    /// lost.
     pub(super) fn pause(&mut self, own: &Bank) {
         let Moments { covariance, .. } = self.moments(own);
         self.models = [Moments { covariance, ..Moments::ZERO }; MODELS];
         self.geometry = false;
     }
 
-    /// Starts to learn lengths and mounting angles. The encoders have fixed the motor angles until now, so the angles contain these errors.
+    /// Starts to learn lengths and mounting angles. The encoders have fixed the motor angles until now, so the angles contain the errors of
+    /// lengths and mounting angles.
     pub(super) fn begin_geometry(&mut self, own: &mut Bank, frame: &Frame) {
         if !std::mem::replace(&mut self.geometry, true) {
             let held = frame.held_by_geometry();
@@ -408,9 +410,9 @@ impl Learning {
         }
     }
 
-    /// Values after the next correction. If mean errors lead beyond a bound, they are moved to it in each model. Everything correlated with
-    /// them moves too, in this bank and in the bank of the estimate. Covariances do not change (Simon, IET Control Theory and Applications 4
-    /// (2010) 1303).
+    /// Values after the next correction. If mean errors lead beyond a bound, they are moved to the bound in each model. All correlated
+    /// errors move too, in this bank and in the bank of the estimate. Covariances do not change (Simon, IET Control Theory and Applications
+    /// 4 (2010) 1303).
     pub(super) fn corrected(&mut self, own: &mut Bank, machine: &Machine) -> Learned {
         let (carried, mut values) = (self.carried(), self.with_error(&self.mean(own)));
         for i in 0..LEARNED {

@@ -1,5 +1,5 @@
-//! Tuned constants of the estimator, each with the run or the reason behind it. The runs are described in
-//! `docs/notes/estimator.md`; `cargo xtask estimator` repeats them.
+//! Tuned constants of the estimator, each with the run or the reason behind it. `docs/notes/estimator.md` describes the runs and defines
+//! their words (loud model, silent, beyond its band, edge); `cargo xtask estimator` repeats the runs.
 
 // ---- Models of the bank: notes, "Priors of the models".
 
@@ -16,17 +16,19 @@ pub(super) struct Intensities {
     /// Spectral density of a white torque on every link, s, relative to the squared torque scale.
     pub(super) white_torque: [f64; MODELS],
 }
-/// Intensities if masses and friction count as known. A first force walk ten times larger increases the tip error in free falls by a
-/// tenth to a fifth at 16 bits. Only quiet models have a mass walk: in the others the force walk dominates. The mass walk was chosen by
-/// the NEES of pushes, falls and sines with masses 5 % off, the white torque by the NEES of falls with exact masses and with masses 5 % off.
+/// Intensities if masses and friction count as known. If the first force walk is ten times larger, it increases the tip error in free falls
+/// by a tenth to a fifth at 16 bits. Only quiet models have a mass walk: in the others the force walk dominates. The mass walk was chosen
+/// by the NEES of pushes, falls and sines with masses 5 % off, the white torque by the NEES of falls with exact masses and with masses 5 %
+/// off.
 pub(super) const TAKEN_AS_KNOWN: Intensities = Intensities {
     force_walk: [4e-5, 0.04, 4.0, 4000.0],
     mass_walk: [2e-4, 0.03, 0.0, 0.0],
     white_torque: [4e-7, 4e-6, 4e-5, 4e-3],
 };
 /// Intensities if masses and friction are learned. The quiet models assume nearly no force, because a random-walk force would explain the
-/// effect of the masses. Chosen by the NEES of the masses in the table `learning` (`--part 0.2 --seeds 7730000000`): 0.52 to 0.73; with
-/// ten times the intensities of the first two, and a tenth of the persistence below, 0.37 to 0.51 (`--part 0.1 --seeds 7710000000`).
+/// effect of the masses. Chosen by the NEES of the masses in the table `learning` (`--part 0.2 --seeds 7730000000`), which is 0.52 to 0.73.
+/// With ten times the intensities of the quiet models and a tenth of the persistence below it is 0.37 to 0.51 (`--part 0.1 --seeds
+/// 7710000000`).
 pub(super) const LEARNT: Intensities =
     Intensities { force_walk: [4e-10, 4e-8, 4.0, 4000.0], mass_walk: [0.0; MODELS], white_torque: [1e-11, 4e-10, 4e-5, 4e-3] };
 /// Factor on the duration of a model if masses and friction are learned, because the variance that a loud model adds after a switch is no
@@ -38,11 +40,11 @@ pub(super) const LEARNING_PERSISTENCES: [f64; 2] = [300.0, 10.0];
 /// readily pulls the estimate back from the line of the distal links. Without these priors the ellipses half a second ahead of
 /// `pick_and_place` were 72 mm wide for errors of 0.1 mm. A model with probability 0 is not used.
 pub(super) const LIKELY_MODELS: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
-/// Prior probabilities under white encoder noise, when a large innovation may be noise. The torque of the benchmark at 1° is 1.3 to
-/// 1.5 N·m with a loudest model of 0.2, 0.81 to 0.93 with 0.005, and 0.80 to 0.82 with 1e-4.
+/// Prior probabilities under white encoder noise, when a large innovation may be noise. The torque error of the benchmark at 1° is 1.3 to
+/// 1.5 N·m with a probability of 0.2 for the loudest model, 0.81 to 0.93 with 0.005, and 0.80 to 0.82 with 1e-4.
 pub(super) const BY_NOISE: [f64; MODELS] = [0.45, 0.45, 0.0999, 0.0001];
 /// Prior probabilities under quantisation intervals: only a force moves an angle out of its interval, and it comes without warning. The
-/// NEES of pushes was 10.2, 7.0, 6.0 and 5.4 with a loudest model of 0.005, 0.1, 0.2 and 0.3.
+/// NEES of pushes was 10.2, 7.0, 6.0 and 5.4 with a probability of 0.005, 0.1, 0.2 and 0.3 for the loudest model.
 pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
 /// Distance |sin(θ₃ − θ₂)| from a direct singularity below which motors hardly determine the posture. There, quantised encoders use the
 /// priors [`LIKELY_MODELS`], no start is doubted, and corrections do not fix the motor angles. Chosen by slow crossings: if starts are
@@ -53,8 +55,9 @@ pub(super) const LEAST_LIKELIHOOD: f64 = 1e-12;
 /// Probability below which a model is left out of the moments of the mixture: it would not change their digits.
 pub(super) const NEGLIGIBLE_PROBABILITY: f64 = 1e-12;
 /// Largest variance of angles in each model, rad²; beyond it nothing is known. Loud models reach the variance of an angle anywhere in a
-/// turn: then 81 % of the tips are within the bands after a push in a fall with learning, with 0.3 rad² 29 %. Quiet models stay below,
-/// because their variances outgrow their errors in a fall: with a turn's variance the CRPS of bands 0.5 s ahead is 45 mm in place of 14 mm.
+/// turn: after a push in a fall with learning, 81 % of the tips are then within the bands, with 0.3 rad² 29 %. The limit of quiet models is
+/// lower, because their variances outgrow their errors in a fall: with the variance of a turn the CRPS of bands 0.5 s ahead is 45 mm in
+/// place of 14 mm.
 pub(super) const LARGEST_ANGLE_VARIANCES: [f64; MODELS] = [0.3, 0.3, ANYWHERE, ANYWHERE];
 /// Variance of an angle that is evenly distributed over a turn, rad².
 pub(super) const ANYWHERE: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
@@ -70,10 +73,11 @@ pub(super) const UNKNOWN_FORCE: f64 = 0.3;
 pub(super) const EFFECT_REGULARIZATION: f64 = 1e-6;
 /// Largest normalised innovation squared that is reported: keeps it finite.
 pub(super) const LARGEST_NIS: f64 = 1e12;
-/// Largest logarithms of learned factors: of a mass (factor 2) and of dry friction (factor 10). Beyond, it is not the described machine.
+/// Largest logarithms of learned factors: of a mass (factor 2) and of dry friction (factor 10). Beyond these factors the machine is not the
+/// described one.
 pub(super) const LARGEST_FACTORS: [f64; 2] = [std::f64::consts::LN_2, std::f64::consts::LN_10];
-/// Largest learned error of a length or a mounting angle, in standard deviations of its prior. Without it, if inexact encoders count as
-/// exact, lengths of MuJoCo's machine, known to 0.2 mm, drift by 10 mm in 20 minutes (`cargo xtask mujoco`).
+/// Largest learned error of a length or a mounting angle, in standard deviations of its prior. Without this limit, if inexact encoders
+/// count as exact, lengths of MuJoCo's machine, known to 0.2 mm, drift by 10 mm in 20 minutes (`cargo xtask mujoco`).
 pub(super) const LARGEST_MISFIT: f64 = 4.0;
 /// Largest learned error of a length, relative to it: the learned machine can still be simulated.
 pub(super) const LARGEST_STRAIN: f64 = 0.05;
@@ -106,8 +110,8 @@ pub(super) const COMPARED_BELOW: f64 = 0.2;
 pub(super) const AGREEMENT: [f64; 2] = [1e-3, 0.1];
 /// Largest rate of a credible estimate, rad/s.
 pub(super) const LARGEST_RATE: f64 = 2e3;
-/// Rate at which an estimate restarts, anywhere and at rest, rad/s. Some estimates reach 4e3 by a force that later samples remove, and
-/// find the machine themselves. With wild samples some reach 2e4; then transitions overflow and the run fails
+/// Rate at which an estimate restarts, anywhere and at rest, rad/s. Some estimates reach 4e3 rad/s by a force that later samples remove,
+/// and find the machine without a restart. With wild samples some reach 2e4 rad/s; then transitions overflow and the run fails
 /// (`wild_samples_leave_a_band`).
 pub(super) const HOPELESS_RATE: f64 = 1e4;
 /// Largest element of a transition: keeps covariances from overflowing.
@@ -117,9 +121,9 @@ pub(super) const LARGEST_GROWTH: f64 = 1e100;
 
 /// Smallest singular value of J over the mean length below which the branches of a vertex are indistinguishable.
 pub(super) const NEAR_VERTEX: f64 = 0.03;
-/// Largest error, rad, by which motors are turned exactly; an estimate that is further off is lost. If it still followed the readings, it
-/// would be found after 0.22 s in place of 0.2 s (`a_lost_machine_is_found_again`). With 0.5 rad, wrong starts seem to turn at 25 rad/s
-/// (`a_start_that_is_off_is_no_motion`).
+/// Largest error, rad, by which motors are turned exactly; an estimate that is further off is lost. If a lost estimate still followed the
+/// readings, the machine would be found after 0.22 s in place of 0.2 s (`a_lost_machine_is_found_again`). With 0.5 rad, wrong starts seem
+/// to turn at 25 rad/s (`a_start_that_is_off_is_no_motion`).
 pub(super) const LARGEST_CHARTED_ERROR: f64 = 1.0;
 /// Miss of a motor angle too small for another Newton step, rad: the step of an encoder of 22 bits.
 pub(super) const LEAST_MISS: f64 = 1e-6;
@@ -146,8 +150,8 @@ pub(super) const LEAST_MOTOR_DETERMINANT: f64 = 1e-3;
 pub(super) const LARGEST_ANGLE: f64 = 1e9;
 /// Round-off of the master's times, relative to them or to 1 s, whichever is larger.
 pub(super) const TIME_ROUND_OFF: f64 = 1e-9;
-/// Gate: a sample is rejected once if its normalised innovation squared is larger. A reading has jumped if the normalised square of the
-/// change of its innovation by the loudest model is larger. The smallest value of 60 jumps of 0.1 rad by 0.1° at 5 ms is 48 with the
+/// Gate: a sample is rejected once if its normalised innovation squared is larger. A reading has jumped if, in the loudest model, the
+/// normalised square of the change of its innovation is larger. The smallest value of 60 jumps of 0.1 rad by 0.1° at 5 ms is 48 with the
 /// unit's start values, 229 with exact geometry. The largest value of a rejected sample in 1,440 runs without a failure is 7 (table
 /// `faults`, `--part 3 --seeds 7920000000`, and 7930000000).
 pub(super) const GATE: f64 = 30.0;
@@ -169,21 +173,21 @@ pub(super) const OVERDUE: [f64; 3] = [2.0, 4.0, 4.0];
 /// 10 bits and six of 600 runs of `haptic` at 0.1° look like a stuck encoder, with 0.1 s none (table `faults`,
 /// `--part 30 --seeds 940000000`).
 pub(super) const LONGEST_CHANCE: f64 = 0.1;
-/// Stuck encoder: turn of the axis, in quantisation intervals, that a push may cancel by chance. Encoders that freeze in a fall, at 16 bits
-/// with the unit's start values: 11 of 400 stay silent without this limit, none of 400 with 20. At 0.1° with exact geometry: with 40, two of 200.
-/// Pushes at 0.1° with the start values: with 10 eight of 60 are missed in place of four (tables `faults`, `--part 10 --seeds` 1280000000
+/// Stuck encoder: turn of the axis, in quantisation intervals, that a push may cancel by chance. Of 400 encoders that freeze in a fall, at
+/// 16 bits with the unit's start values, 11 are silent without this limit and none with 20. At 0.1° with exact geometry two of 200 are with
+/// 40. Of 60 pushes at 0.1° with the start values eight are missed with 10, four with 20 (tables `faults`, `--part 10 --seeds` 1280000000
 /// and 1300000000, and `detection`, `--seeds 8020000000`).
 pub(super) const LARGEST_CHANCE: f64 = 20.0;
 /// Smallest persistent error of an encoder that is used alone, rad: its readings keep model errors that both encoders together would
 /// reveal. Of 700 falls with the other encoder silent or frozen, 8 are beyond their bands with 1e-3, 5 with 1.5e-3 and 3 with 2e-3; 84,
 /// 106 and 130 are off at their ends (table `faults`, `--part 5 --seeds 1520000000`).
 pub(super) const ERROR_ALONE: f64 = 2e-3;
-/// Time in which this error also counts once as noise, s, because model errors are not constant. With the persistent error alone, 11 of
-/// 40 falls by 0.1° with a frozen encoder are beyond their bands in place of 1 (`--part 2 --seeds 1510000000`).
+/// Time in which [`ERROR_ALONE`] also counts once as noise, s, because model errors are not constant. With the persistent error alone, 11
+/// of 40 falls by 0.1° with a frozen encoder are beyond their bands in place of 1 (`--part 2 --seeds 1510000000`).
 pub(super) const TIME_ALONE: f64 = 0.1;
 /// Standard deviation of an angle beyond which one encoder alone does not follow the machine, rad: the reading is no longer linear in the
-/// errors. With 0.2 46 of 200 such falls are given up or lost, with 0.4 as many as without a limit. Without a limit 18 of 200 falls by
-/// 0.1° with a frozen encoder are beyond their bands in place of 6 (`--part 10 --seeds 1490000000`).
+/// errors. With 0.2 rad 46 of 200 falls with one encoder are given up or lost, with 0.4 rad as many as without a limit. Without a limit 18
+/// of 200 falls by 0.1° with a frozen encoder are beyond their bands in place of 6 (`--part 10 --seeds 1490000000`).
 pub(super) const LARGEST_SIGMA_ALONE: f64 = 0.4;
 /// Number of samples over which the variance of the time stamps is averaged.
 pub(super) const SAMPLES_OF_JITTER: f64 = 50.0;
@@ -191,13 +195,13 @@ pub(super) const SAMPLES_OF_JITTER: f64 = 50.0;
 pub(super) const CORRELATION_TIME: f64 = 0.3;
 /// Correlation time of a persistent reading error, s. While lengths and mounting angles are learned, the error counts once in this time.
 /// Errors of constant lengths and mounting angles last longer, errors of eccentric discs less in fast motion. Of 160 slow crossings with
-/// geometry off 33 are lost with 0.05 s, 29 with 0.1 s, 17 with 0.3 s and 7 with 1 s; 5, 2, 4 and 8 of them in silence (table `geometry`,
-/// `--part 0.2 --seeds 8210000000`, rows *slow crossings, configured*).
+/// geometry off 33 are lost with 0.05 s, 29 with 0.1 s, 17 with 0.3 s and 7 with 1 s; 5, 2, 4 and 8 of the lost ones are silent (table
+/// `geometry`, `--part 0.2 --seeds 8210000000`, rows *slow crossings, configured*).
 pub(super) const PERSISTENT_TIME: f64 = 0.3;
 /// Share of the product of relative mass errors and reading errors due to lengths and mounting angles, rad, that counts as an error of a
-/// sample when these are learned: a wrong torque moves an axis this far before it is corrected. With 0 at least 76 % of the samples of nine
-/// rows of the table `workshop` are inside at 16 bits with discs configured as exact, with 0.03 95 %. With 0.1 sines leave 0.27 mm of lengths
-/// 0.1 % off in place of 0.17.
+/// sample while lengths and mounting angles are learned: a wrong torque moves an axis this far before the torque is corrected. In nine rows
+/// of the table `workshop` at 16 bits with discs configured as exact, at least 76 % of the samples are inside with 0, and 95 % with 0.03.
+/// With 0.1, sines leave errors of 0.27 mm in place of 0.17 mm in lengths that are 0.1 % off.
 pub(super) const PRODUCTS: f64 = 0.03;
 /// Ratio of white noise to the quantisation interval above which the quantisation error is white (dither).
 pub(super) const DITHER: f64 = 0.4;
@@ -252,9 +256,9 @@ pub(super) struct QuestionRules {
 pub(super) const AFTER_VERTEX: QuestionRules = QuestionRules { lifetime: 0.5, refuted: -12.0, decided: 6.0 };
 /// Which of two assemblies.
 pub(super) const WHICH_ASSEMBLY: QuestionRules = QuestionRules { lifetime: 5.0, refuted: -30.0, decided: 6.0 };
-/// Torque scale of the unknown force in quiet alternatives, relative to the scale of the estimate. Under a real disturbance the loudest model
-/// takes over in both assemblies, so the disturbance does not decide. Of 150 slow crossings with a push of up to 0.05 N at 0.1° 45 were
-/// lost with only the quietest model, 6 with both, 17 with all four and a scale of 0.003.
+/// Torque scale of the unknown force in quiet alternatives, relative to the scale of the estimate. Under a real disturbance the loudest
+/// model takes over in both assemblies, so the disturbance does not decide. Of 150 slow crossings with a push of up to 0.05 N at 0.1° 45
+/// were lost with only the quietest model, 6 with the quietest and the loudest, 17 with all four models and a scale of 0.003.
 pub(super) const QUIET_FORCE_SCALE: f64 = 0.006;
 /// Prior probabilities of the models under nearly no unknown force: only the quietest and the loudest.
 pub(super) const QUIET_MODELS: [f64; MODELS] = [0.999, 0.0, 0.0, 0.001];
@@ -265,21 +269,22 @@ pub(super) const INITIAL_FORCE_SIGMA: f64 = 0.001;
 pub(super) const REPLACEMENT_FORCE_VARIANCE: f64 = 0.04;
 /// Model of the bank with the noise for the witnesses of a doubted start: the quietest.
 pub(super) const DOUBT_MODEL: usize = 0;
-/// Standard deviation of this noise, relative to the model's. With 1 the evidence drifts towards the assembly whose motors it moves more: 34
-/// of 600 right starts in stiff swings are abandoned in silence (`--only faults --part 30 --seeds 1450000000`, row `nothing, stiff swing,
-/// 16 bit`), with 0.1 none.
+/// Standard deviation of the noise of the filters that test a start, relative to the quietest model's. With 1 the evidence drifts towards
+/// the assembly whose motors it moves more: 34 of 600 right starts in stiff swings are abandoned in silence (`--only faults --part 30
+/// --seeds 1450000000`, row `nothing, stiff swing, 16 bit`), with 0.1 none.
 pub(super) const DOUBT_NOISE: f64 = 0.1;
 /// Standard deviation of the unknown force in both assemblies of a doubted start, in torque scales: static loads are no evidence.
 pub(super) const DOUBT_FORCE: f64 = 2.0;
-/// Evidence for and against the assembly of the start at which the doubt ends. With 12 for it 1 of 1,200 wrong starts was kept, with 16 none
-/// of 2,100 (table `starts`). With 16 against it 7 of 800 right starts, with late samples and in stiff swings, were replaced in silence,
-/// with 24 one (table `faults`, `--part 10 --seeds` 1240000000 and 1250000000, with the model's own noise in place of [`DOUBT_NOISE`]).
+/// Evidence for and against the assembly of the start at which the doubt ends. With 12 for the start 1 of 1,200 wrong starts was kept, with
+/// 16 none of 2,100 (table `starts`). With 16 against the start 7 of 800 right starts, with late samples and in stiff swings, were replaced
+/// in silence; with 24 one was (table `faults`, `--part 10 --seeds` 1240000000 and 1250000000, with the model's own noise in place of
+/// [`DOUBT_NOISE`]).
 pub(super) const DOUBT_ENDS: [f64; 2] = [16.0, 24.0];
 /// Log-odds of the other assembly before any sample, if the doubt ends at a direct singularity. With equal odds 7 of 2,400 crossings were
 /// undecided at their end, with this value none.
 pub(super) const START_ODDS: f64 = -5.0;
-/// Mean of r²/S in the better assembly above which neither assembly explains the samples, and the number of samples it needs. A wrong
-/// start presses the tip of `haptic` into its wall.
+/// Mean of r²/S in the better assembly above which neither assembly explains the samples, and the number of samples that this decision
+/// needs. A wrong start presses the tip of `haptic` into its wall.
 pub(super) const NEITHER_FITS: [f64; 2] = [3.0, 20.0];
 /// Log-likelihood ratio of the first samples after a vertex at which an alternative replaces the estimate at once.
 pub(super) const IMMEDIATE_EVIDENCE: f64 = 15.0;
@@ -331,7 +336,8 @@ pub(super) const LASTING_CHANGE: (f64, f64) = (0.5, 6.0);
 /// Time constant with which the largest inertia torques of the last steps decay, s. With 0.1 s 79 % of the faults at 0.1° are named in place of
 /// 82 %; with 0.03 s as many as without inertia torques.
 pub(super) const VIOLENCE_PERSISTS: f64 = 0.03;
-/// Alarm in violent motion: log-evidence of another cause over wrong masses. With 5 twice as many falls raise a false alarm.
+/// Alarm in violent motion: log-evidence of another cause over wrong masses that an alarm needs. With 5, twice as many falls raise a false
+/// alarm.
 pub(super) const BEYOND_MASSES: f64 = 8.0;
 /// Time constant with which the reference force follows, s: slower drift raises no alarm.
 pub(super) const REFERENCE_TIME_CONSTANT: f64 = 0.3;
@@ -346,8 +352,8 @@ pub(super) const LARGEST_CONSISTENT_NIS: f64 = 4.0;
 
 // ---- Causes: notes, "Causes", by the table `causes`.
 
-/// Model of the bank with the noise for the filter that assumes no fault. With a tenth of its walks more motor torques are named at 0.1°, and
-/// fewer in falls.
+/// Model of the bank with the noise for the filter that assumes no fault. With a tenth of this model's walks more motor torques are named
+/// at 0.1°, and fewer in falls.
 pub(super) const CAUSE_MODEL: usize = 1;
 /// Normalised innovation squared of a sample from which on explanations are compared: three standard deviations.
 pub(super) const SURPRISE: f64 = 9.0;

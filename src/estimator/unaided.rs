@@ -1,6 +1,7 @@
 //! Estimate without an encoder that repeats its reading: decides whether the reading could have stayed constant.
 //!
-//! Its errors are relative to the motion of the estimate and follow it; only samples of the other encoder correct them.
+//! The errors of this second bank are relative to the motion of the estimate and change with it. Only samples of the other encoder correct
+//! them.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
@@ -43,10 +44,10 @@ impl Unaided {
         }
     }
 
-    /// Judges a repeated reading. It is a fault if the other reading has changed and the axis has turned further than the errors allow. If
-    /// a force of some model explains it, a push may hold the axis for a while by chance; if the push would have to cancel a large turn, the
-    /// reading is ignored until it changes. If the other reading repeats as well, the machine may be blocked: it is a fault only if the
-    /// estimate had settled and no force of any model can block the axis like this.
+    /// Judges a repeated reading. The repetition is a fault if the other reading has changed and the axis has turned further than the
+    /// errors allow. If a force of some model explains the repetition, a push may hold the axis for a while by chance. If the push would
+    /// have to cancel a large turn, the reading is ignored until it changes. If the other reading repeats as well, the machine may be
+    /// blocked. The repetition is then a fault only if the estimate had settled and no force of any model can block the axis like this.
     pub(super) fn judge(&mut self, sample: &Measurement) -> Fault {
         let Some(bank) = &self.bank else { return Fault::None };
         let &Measurement { sigma, quantum, innovation, .. } = sample;
@@ -81,7 +82,7 @@ impl Unaided {
     }
 
     /// Time update by h seconds as in the estimate's bank. The unknown force changes as in a forecast, because one encoder does not
-    /// determine it. Ends if the other encoder is absent: then nothing shows how far the axis turns.
+    /// determine it. Ends if the other encoder is absent, because then nothing shows how far the axis turns.
     pub(super) fn predict(
         &mut self,
         (step, noise): (&Propagation, &ProcessNoise),

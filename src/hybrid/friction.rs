@@ -269,8 +269,8 @@ pub struct FrictionGuard {
     pub state: StickSlip,
     /// Friction torque or force while sticking, N·m or N; 0 while slipping.
     pub reaction: f64,
-    /// Whether the place sticks only through the constraint of another place. Both then constrain the same motion, until the mechanism
-    /// leaves a singularity.
+    /// Whether the place sticks only through the constraint of another place. The two constraints then act on the same motion, until the
+    /// mechanism leaves a singularity.
     pub carried: bool,
 }
 
@@ -346,7 +346,8 @@ pub struct FrictionProblem {
 /// Tolerance of the inequalities relative to the bounds: far above round-off, far below any physical load.
 const TOLERANCE: f64 = 1e-9;
 
-/// Ridge (Tikhonov) parameter of the torques at rest, relative to the trace. It makes torques unique that equilibrium leaves undetermined.
+/// Ridge (Tikhonov) parameter of the torques at rest, relative to the trace. The ridge makes torques unique that equilibrium leaves
+/// undetermined.
 const RIDGE: f64 = 1e-12;
 
 /// A candidate solution of a [`FrictionProblem`]: the stick-slip state of each of its places.

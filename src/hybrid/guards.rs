@@ -1,4 +1,4 @@
-//! Guards: functions of the state with zeros where a force law changes its smooth branch. They belong to the kinks that effects declare
+//! Guards: functions of the state with zeros where a force law changes its smooth branch. Guards belong to the kinks that effects declare
 //! and to set-valued dry friction.
 
 use arrayvec::ArrayVec;

@@ -1,5 +1,5 @@
 //! Checks of each step against properties that every correct step has, whatever the method: the balance of energy, the signs of the
-//! singularity determinants, and the branch of the closure. `docs/checks.md` describes correct steps, and how far the bounds are from them.
+//! singularity determinants, and the branch of the closure. `docs/checks.md` describes correct steps, and the margin of the bounds.
 
 use super::{State, StepError, System, Work};
 use crate::vector::Vector;
@@ -111,7 +111,8 @@ impl Beginning {
     }
 }
 
-/// Makes a step of fixed length and counts it if it fails the checks. It is not refused, because such steps serve to compare errors.
+/// Makes a step of fixed length and counts it if it fails the checks. The step is not refused, because steps of fixed length serve to
+/// compare errors.
 pub fn count_breaches<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     energy_scale: impl FnOnce() -> f64,

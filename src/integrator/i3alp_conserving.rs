@@ -116,8 +116,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         Self { q, v, work: Work::default(), energy: None, configuration_signs, branch, counters, history: History::NONE }
     }
 
-    /// Notes a discontinuity of the inputs. It makes higher differences of the history useless, so a parabola is used until the history is
-    /// full again.
+    /// Notes a discontinuity of the inputs. A discontinuity makes higher differences of the history useless, so a parabola is used until
+    /// the history is full again.
     pub fn change(&mut self) {
         self.history.known = self.history.known.min(PARABOLA as u8);
         self.counters.restarts += 1;

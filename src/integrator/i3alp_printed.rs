@@ -19,8 +19,8 @@ pub struct Settings {
     pub max_iterations: u32,
 }
 
-/// Bound on |Δq| and |Φ| at which Newton's method stops, relative to the size of the system. With a fixed α both fall linearly, and more
-/// slowly near singularities: ten iterations do not meet a tighter bound in the paper's own free fall.
+/// Bound on |Δq| and |Φ| at which Newton's method stops, relative to the size of the system. With a fixed α, |Δq| and |Φ| fall linearly,
+/// and more slowly near singularities: ten iterations do not meet a tighter bound in the paper's own free fall.
 const STOP: f64 = 1e-8;
 
 /// Makes one step of `h` seconds. Fails if Newton's method does not converge, the tangent is not positive definite or a value is not

@@ -32,7 +32,7 @@ pub trait System<const N: usize, const M: usize> {
     fn mass_times(&self, pose: &Self::Pose, x: &Vector<N>) -> Vector<N>;
     /// Generalised applied forces Q(q, q̇), and the power of inputs and of dissipative forces, W, which is 0 without [`Features::work`].
     fn forces(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work);
-    /// Kinetic energy plus potential energy of all forces except the inputs, J. It changes at the rate of their power.
+    /// Kinetic energy plus potential energy of all forces except the inputs, J. It changes at the rate of the inputs' power.
     fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {
         0.0
     }

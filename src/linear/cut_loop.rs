@@ -1,6 +1,6 @@
 //! The energy-conserving step with its loop cut at the tip: its equations in the rotations of the links.
 //!
-//! Each of the two open legs runs from ground to elbow to tip. They satisfy the constraints at the ground and at the elbows for any
+//! Each of the two open legs runs from ground to elbow to tip. The legs satisfy the constraints at the ground and at the elbows for any
 //! increments Δθ and rates of the link angles, and the position rows of (37) in `docs/conserving.md` give the forces of these joints. Of
 //! the ten multipliers only Λ and ν of the tip remain; of (37) the angle rows and the tip's closure remain. Let ℓ = a + b be the length of
 //! the proximal and L of the distal link, with the moments of inertia

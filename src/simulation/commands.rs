@@ -195,8 +195,8 @@ impl Commands {
         Ok(())
     }
 
-    /// Lets references wait, unless they are the newest ones already. They replace others of the same time. Refused if there is no room for
-    /// them and the end of their ramp.
+    /// Lets references wait, unless they are the newest ones already. New references replace others of the same time. Refused if there is
+    /// no room for them and the end of their ramp.
     fn give(&mut self, delay: Delay, references: Signal) -> Result<(), StepFailure> {
         let newest = self.waiting.back().map_or(&self.acting, |last| &last.references);
         if *newest == references {

@@ -6,8 +6,8 @@
 //! M₁ ω₁ + Φ_qᵀ ι = M₀ ω₀,   Φ_q ω₁ = 0,   M₁ = M₀ + m J_tᵀ J_t
 //! ```
 //!
-//! This is the perfectly inelastic impact: the kinetic energy lost is dissipated. Mass that moves with the tip brings the momentum m J_tᵀ
-//! J_t ω₀, and mass that leaves takes it away. In both cases rates do not change, and the energy counts as input work.
+//! The impact is perfectly inelastic: the kinetic energy lost is dissipated. Mass that moves with the tip brings the momentum m J_tᵀ J_t
+//! ω₀, and mass that leaves takes it away. In both cases rates do not change, and the energy counts as input work.
 
 use super::angles::{AngleSystem, Angles, angles_of, legs};
 use super::{Model, State};

@@ -10,9 +10,10 @@ use crate::estimator::{MEASURED, Prior, set_lengths};
 use crate::mechanism::{ClosureBranch, Link, Mechanism};
 
 /// Limits, in standard deviations of a length, within which lengths are not learned: the length difference of a pair of links, and the base
-/// distance. The limits come from 72 falls of exact machines with coaxial motors (1 s, 16 bits, links of 0.12 to 0.3 m, σ = 0.2 mm of
-/// each length). If lengths are not learned, the tip stays within 2 mm in all 72 falls; if they are, in only 17. If they are learned and
-/// pairs differ by up to 0.4 mm, it does so in 59 falls, by up to 1 mm in 66; with a base of 0.5, 1, 2 and 100 mm in 57, 66, 69 and 70.
+/// distance. The limits come from 72 falls of exact machines with coaxial motors (1 s, 16 bits, links of 0.12 to 0.3 m, σ = 0.2 mm of each
+/// length). If lengths are not learned, the tip stays within 2 mm in all 72 falls; if lengths are learned, in only 17. With learned lengths
+/// and pairs that differ by up to 0.4 mm, the tip stays within 2 mm in 59 falls, up to 1 mm in 66; with a base of 0.5, 1, 2 and 100 mm in
+/// 57, 66, 69 and 70.
 pub(crate) const NEARLY_IN_PAIRS: [f64; 2] = [3.0, 10.0];
 
 impl Parameters {
@@ -35,8 +36,8 @@ impl Parameters {
         })
     }
 
-    /// Whether lengths are learned. They are not if the closure would split into branches for lengths within their uncertainty: other
-    /// lengths then send a motion through the posture in line another way, and samples do not show it before.
+    /// Whether lengths are learned. If the closure would split into branches for lengths within their uncertainty, lengths are not learned:
+    /// other lengths then send a motion through the posture in line another way, and no earlier sample shows which way.
     pub fn learns_lengths(&self) -> bool {
         let Self { estimator, geometry, .. } = self;
         let sigma = estimator.sigma0_length;

@@ -236,5 +236,5 @@ const BISECTIONS: usize = 40;
 const ANGLE_REGULARIZATION: f64 = 1e-20;
 /// e in the link angles if all links in line turn about coaxial motors, relative to 1 over the mean mass. It is larger, because rank is
 /// lost along whole lines of configurations, and a motion on none of the known closure branches needs bounded joint forces there. If the
-/// links only come close to a line, it would carry a motion from one side to the other.
+/// links only come close to a line, this e would carry a motion from one side to the other.
 const IN_LINE_REGULARIZATION: f64 = 1e-10;

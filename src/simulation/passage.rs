@@ -102,8 +102,8 @@ impl Passage<ANGLES> for AngleSystem<'_> {
 }
 
 impl AngleSystem<'_> {
-    /// Factor of the rates that restores the energy balance; an error if it differs too much from 1. It is 1 if the kinetic energy is lost
-    /// in round-off, if the work is too large, or if the power varies too much for the trapezoidal rule to be better than the step.
+    /// Factor of the rates that restores the energy balance; an error if it differs too much from 1. The factor is 1 if the kinetic energy
+    /// is lost in round-off, if the work is too large, or if the power varies too much for the trapezoidal rule to be better than the step.
     fn energy_scale_unless(&self, varied: f64, before: &EnergyBalance, [q, v]: [&Angles; 2], h: f64) -> Result<f64, StepError> {
         let [kinetic, potential, power] = self.energies(q, v);
         let (work, varies) = (h / 2.0 * (before.power + power), h * (power - before.power).abs() > varied * kinetic);

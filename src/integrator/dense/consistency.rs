@@ -55,7 +55,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.elapsed == self.length { Ok(()) } else { self.check_inside(system, settings, bounds) }
     }
 
-    /// Refuses states between the present time and the end of the step that do not close the loop. They are checked as they will be read.
+    /// Refuses states between the present time and the end of the step that do not close the loop. The states are checked in the form in
+    /// which they will be read.
     fn check_inside<S>(&self, system: &S, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency>
     where
         S: Mechanics<N, M, Mode = K>,

@@ -141,7 +141,7 @@ impl Polynomials {
 }
 
 impl Scheme {
-    /// Scheme that every step can be made by: explicit, and its step can be truncated. It makes steps near vertices, where round-off dominates
+    /// Scheme that can make every step: explicit, with steps that can be truncated. It makes steps near vertices, where round-off dominates
     /// tangents, with friction that may stick, and instead of an implicit step that cannot begin.
     pub(super) const GENERAL: Self = Self::Dop853;
     /// Scheme of the automatic choice while inputs are held for no longer than its step. The memory holds the length of its next step apart

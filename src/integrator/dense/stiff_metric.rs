@@ -37,7 +37,7 @@ impl<const N: usize> StiffMetric<'_, N> {
     fn directions<const M: usize, S: System<N, M>>(&self, system: &S, regularization: f64, pose: &S::Pose) -> [Vector<N>; M] {
         let mass = system.factor_mass(pose, regularization);
         let directions: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
-        // Loads couple the corrections. They are combined so that each belongs to one constraint.
+        // Loads couple the corrections, so the columns are combined: each correction then belongs to one constraint.
         let shares = Inverse::new(directions.map(|direction| system.phi_q_times(pose, &direction)), f64::EPSILON * self.h);
         std::array::from_fn(|i| combination(&directions, &shares.times(&Vector::unit(i))))
     }

@@ -38,7 +38,7 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     let done = h / 2.0 * (from.power.net() + to.power.net()) + driven - separated;
     let balance = system.energy(&to.q, pose, &to.v) - before - done;
     let off = before - settings.energy_at_start - from.work.net();
-    // Joint forces do work along the round-off of the positions. It limits the balance if the motion is otherwise exact.
+    // Joint forces do work along the round-off of the positions. This work limits the balance if the motion is otherwise exact.
     let position_scale = if rates < EXACT * settings.error_tolerance { system.length_scale() } else { 0.0 };
     let noise = f64::EPSILON * (ENERGY_ROUND_OFF * settings.energy_scale + WORK_ROUND_OFF * position_scale * to.lambda.max_norm());
     let allowed = settings.error_tolerance * settings.energy_scale * balance_factor(settings, off, balance);
