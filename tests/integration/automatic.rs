@@ -137,7 +137,8 @@ fn implicit_steps_end_in_balance() {
     }
 }
 
-/// Inputs that change every macro step: as many steps as order 8 and half its evaluations, with an error far below the tolerance.
+/// If inputs change every macro step, the method takes as many steps as order 8 with half the evaluations; its error is far below the
+/// tolerance.
 #[test]
 fn short_holds_take_steps_of_order_5() {
     let end = |method: Method, tolerance: f64| {
@@ -218,8 +219,8 @@ fn a_copy_continues_with_the_same_bits() {
     assert_eq!(default_parameters().settings.method, Method::I3alp, "what the unit starts with");
 }
 
-/// From stiff servos to a free fall and back, three times: implicit steps in the first, explicit ones in the second, and an error like that
-/// of the purely explicit method.
+/// A machine goes from stiff servos to a free fall and back, three times. Under servos steps are implicit, in falls explicit, and the error
+/// is as small as with the purely explicit method.
 #[test]
 fn switching_loses_no_digit() {
     let end = |method: Method, tolerance: f64| {

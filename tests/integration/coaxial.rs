@@ -252,8 +252,8 @@ fn random_machines_stay_on_their_branch() {
     assert_eq!(runs, 144);
 }
 
-/// A kite that approaches its straight posture as closely as a step happens to end: at every tolerance it stays a kite, with any other
-/// event to locate.
+/// A kite that approaches its straight posture as closely as a step happens to end: it stays a kite at every tolerance, also if another
+/// event has to be located.
 #[test]
 fn a_kite_stays_a_kite() {
     let mut kite = default_parameters();

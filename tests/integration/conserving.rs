@@ -54,7 +54,8 @@ fn followed(simulation: &mut Simulation, inputs: &Inputs, h: f64, duration: f64)
     Worst { balance: error / largest, in_mgl: error / MGL, ..worst }
 }
 
-/// Against the solution to 15 digits, one second into the fall: second order, and at 1 ms no larger error than the prototype.
+/// Compared with the solution to 15 digits one second into the fall, the method is of second order, and at 1 ms its error is at most the
+/// prototype's.
 #[test]
 fn it_is_of_second_order() {
     let reference = Reference::read("fall_90_120");
@@ -83,7 +84,8 @@ fn falls_keep_energy_and_constraints() {
     }
 }
 
-/// Any machine: all links different, centres of mass outside the links, payload and rotors; nearly massless links; coaxial motors.
+/// The method works for any machine: with all links different, centres of mass outside the links, payload and rotors; with nearly massless
+/// links; with coaxial motors.
 #[test]
 fn any_machine_keeps_its_energy() {
     let mut loaded = unequal();

@@ -271,7 +271,8 @@ fn a_tuned_parameter_acts_inside_a_step() {
     assert!(error < 1e-7 && balance(&coarse) < 1e-6 * MGL, "{error:e} rad, {:e} J", balance(&coarse));
 }
 
-/// Perturbed falls of 50 s: the target for 200 of them, on a few; the battery of hard cases runs a thousand. Not stiff.
+/// A few perturbed falls of 50 s meet the target for 200 of them, and are not classified as stiff; the battery of hard cases runs a
+/// thousand.
 #[test]
 fn perturbed_falls_keep_their_energy() {
     for (left, right) in [(-0.03, 0.1), (-0.004, 0.2), (0.001, 0.002), (-0.25, -0.11)] {

@@ -366,7 +366,7 @@ fn scales_stay_as_width() {
     }
 }
 
-/// A free fall does not show a common factor of all masses: nothing is learned of it, and its band says so, while ratios are found.
+/// A free fall does not show a common factor of all masses: the factor keeps its prior and its band, while ratios of masses are found.
 #[test]
 fn a_common_factor_stays_at_its_prior_in_a_free_fall() {
     let model = learning();

@@ -107,7 +107,8 @@ fn what_moves_with_the_tip_changes_no_rate() {
     }
 }
 
-/// Picked up, exchanged and put down during the motion, by every method: the balance is as good as without, and all ends agree.
+/// A payload is picked up, exchanged and put down during the motion, by every method: the balance is as good as without a payload, and all
+/// ends agree.
 #[test]
 fn the_balance_stays_closed() {
     let end = |method: Method| {

@@ -88,7 +88,7 @@ fn a_reversed_motion_returns() {
     assert!(error < 1.2e-5, "{error:e} rad");
 }
 
-/// The method as printed: close to the default at the paper's 1 ms while it works, and a status at its end, never NaN.
+/// The printed method is close to the default method at the paper's 1 ms while it works. It ends with a status, never with NaN.
 #[test]
 fn the_printed_method_ends_with_a_status() {
     let mut parameters = default_parameters();

@@ -303,7 +303,8 @@ fn the_error_follows_the_tolerance() {
     }
 }
 
-/// A damper and a damped spring, much stiffer than the motion: steps of a few times the inverse rate, and the classification.
+/// Under a damper and a damped spring that are much stiffer than the motion, steps are a few times the inverse rate and classified as
+/// stiff.
 #[test]
 fn stiffness_is_noticed() {
     for stiff in [Point::cartesian(|_, v| -1e4 * *v), Point::cartesian(|q, v| -1e8 * *q - 1e3 * *v)] {

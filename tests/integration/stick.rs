@@ -52,7 +52,7 @@ fn angles(simulation: &Simulation) -> [f64; 4] {
     simulation.state().angles()
 }
 
-/// 60 s under gravity and half the breakaway torque at each motor: no motion at all, and a minute costs less than a tenth of a second of
+/// Under gravity and half the breakaway torque at each motor nothing moves for 60 s, and this minute costs less than a tenth of a second of
 /// motion.
 #[test]
 fn below_breakaway_it_stays() {
@@ -80,8 +80,8 @@ fn below_breakaway_it_stays() {
     }
 }
 
-/// 60 s under half of the plane's breakaway force: the tip rests along the plane. Across the plane its vibration decays, although explicit
-/// steps could be as long as stability allows.
+/// Under half of the plane's breakaway force the tip rests along the plane for 60 s. Across the plane its vibration decays, although
+/// explicit steps could be as long as stability allows.
 #[test]
 fn below_its_bound_the_tip_stays_on_the_plane() {
     for method in methods_with_events() {

@@ -109,7 +109,7 @@ if __name__ == "__main__":
 
 
 def test_readme_shows_the_picture_of_a_notebook() -> None:
-    """One, small enough for a page that many read."""
+    """The README shows one picture of a notebook, small enough for a page that many read."""
     files = [json.loads(path.read_text(encoding="utf-8")) for path in (REPOSITORY / "examples").glob("*.ipynb")]
     [picture] = [
         cell["metadata"]["picture"] for file in files for cell in file["cells"] if "picture" in cell["metadata"]

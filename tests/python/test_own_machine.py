@@ -40,7 +40,7 @@ def values(scene: dict, model: ModelDescription) -> Values:
 
 
 def test_nothing_set_is_the_plain_unit_with_the_values_of_the_scene(new: New, new_own: New, values: Values) -> None:
-    """Bit by bit: method, assembly and all else."""
+    """Method, assembly and all other values are equal bit by bit."""
     plain, own = new().initialise(values), new_own().initialise()
     for step in range(200):
         assert own.bits() == plain.bits(), f"after {step} steps"

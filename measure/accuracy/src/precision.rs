@@ -16,8 +16,8 @@ fn rounds(extent: Extent) -> usize {
     }
 }
 
-/// Length of the timed laps of a run, s. Short, so that on a loaded machine most laps run without interruption; long enough
-/// that reading the clock costs little; a multiple of every step and a divisor of all reference times.
+/// Length of the timed laps of a run, s. Laps are so short that most run without interruption on a loaded machine, and so long that reading
+/// the clock costs little. The length is a multiple of every step and a divisor of all reference times.
 const LAP: f64 = 0.02;
 
 /// A choice on a scene.

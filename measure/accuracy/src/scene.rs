@@ -103,8 +103,8 @@ impl Scene {
         Ok(Self { name, kind, end, parameters, inputs, reference: Reference::read(reference, end)? })
     }
 
-    /// Reason for not measuring a choice, if any: a longer step would keep inputs constant for longer, a different motion; and not every
-    /// method supports friction that sticks.
+    /// Reason for not measuring a choice, if any: a longer step would keep inputs constant for longer, which gives a different motion; and
+    /// not every method supports friction that sticks.
     pub fn leaves_out(&self, choice: &Choice) -> Option<String> {
         let mut parameters = self.parameters.clone();
         choice.setting.apply(&mut parameters);

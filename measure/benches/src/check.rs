@@ -1,4 +1,5 @@
-//! Checks of CI: instructions, accesses to data and cache misses stay below their ceilings, and disabled effects cost nothing. No times.
+//! Checks of CI: instructions, accesses to data and cache misses stay below their ceilings, and disabled effects cost nothing. No times are
+//! checked.
 
 use std::fs;
 

@@ -21,7 +21,7 @@ const STEP: f64 = 1e-3;
 /// Methods by which each scene runs: the ones that are recommended for some use. `rk4` and `i3alpPrinted` serve comparisons only.
 const METHODS: [&str; 4] = ["automatic", "dop853", "i3alp", "i3alpConserving"];
 
-/// Length of a turn. Much shorter than a time slice of the system, much longer than it takes to load a build into the caches again.
+/// Length of a turn. A turn is much shorter than a time slice of the system, and much longer than loading a build into the caches again.
 const TURN: Duration = Duration::from_millis(1);
 
 /// Coverage of the intervals.

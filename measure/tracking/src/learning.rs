@@ -321,7 +321,7 @@ pub fn table(runs: u64, first: u64) -> Table {
             }
             table.push(Figure::untargeted(label("tip's error, mm"), 1e3 * median(outcomes.iter().map(|o| o.tip)), "median".into()));
             if kind.1 == Unknown::Foreign {
-                // Friction missing in a scene is learned as something else: the docs state how much, and it has no target.
+                // Friction missing in a scene is learned as something else. The docs state the resulting errors, which have no target.
                 table.figures[before..].iter_mut().for_each(Figure::demand_nothing);
             }
         }

@@ -108,7 +108,7 @@ pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
         let speed = tip[0].hypot(tip[1]);
         let scale = random.between(slow, fast) / speed;
         let omega = omega.map(|rate| rate * scale);
-        // Transversal: a motion that only grazes the line may also turn back, which encoders cannot show.
+        // The motion must cross the line: a motion that only grazes it may also turn back, which encoders cannot show.
         if across.abs() < 0.3 * speed
             || (omega[2] - omega[1]).abs() * 0.21 < 0.3 * scale * speed
             || omega.iter().any(|rate| rate.abs() > 30.0)

@@ -18,7 +18,8 @@ fn the_benchmark_is_met() {
     assert!(table.figures.iter().all(tracking::report::Figure::is_reached), "{}", table.markdown());
 }
 
-/// Most of 32 faults are named. Of 400 it is 93 % at 16 bits and 83 % at 0.1°; then fewer than 26 and 21 of 32 have a probability of 0.5 %.
+/// Most of 32 faults are named. Of 400 faults 93 % are named at 16 bits and 83 % at 0.1°. With these shares fewer than 26 and 21 of 32 have
+/// a probability of 0.5 %.
 #[test]
 fn causes_are_named() {
     let named = causes::named(4, 0);
@@ -26,8 +27,8 @@ fn causes_are_named() {
 }
 
 /// A unit that learns lengths distinguishes a push from its remaining errors within 12 ms at 16 bits (median). If models are compared as if
-/// persistent innovations were white noise, each of these falls raises a false alarm. If the motion takes samples to be as noisy as
-/// learning does, pushes take 29 ms.
+/// persistent innovations were white noise, each of the falls raises a false alarm. If the filter of the motion assumes the same noise of
+/// samples as learning, pushes take 29 ms.
 #[test]
 fn learning_hides_no_push_and_raises_no_alarm() {
     assert_eq!(geometry::false_alarms_while_learning([0, 1, 2].map(|seed| 7_800_000 + seed)), 0);
@@ -37,36 +38,38 @@ fn learning_hides_no_push_and_raises_no_alarm() {
     assert!(delays[1] <= 0.013, "{delays:?} s");
 }
 
-/// Late samples show an earlier instant, which moved under its own inputs; a right start is not abandoned. These four are abandoned if
-/// rates of the samples are compared with the current estimate.
+/// Late samples show an earlier instant, which moved under its own inputs; a right start is not abandoned. The right starts of these four
+/// seeds are abandoned if rates of the samples are compared with the current estimate.
 #[test]
 fn late_samples_leave_a_right_start() {
     assert_eq!(faults::lost_by_late_samples([43, 58, 94, 110].map(|seed| 1_327_900_000 + seed)), 0);
 }
 
-/// A right start of a slow swing by stiff servos is not abandoned. The first five are if the doubt has only the process noise of the
-/// quietest model. Two of the others are if an axis that turns by nearly one quantisation interval per sample counts as passing an edge
-/// with each.
+/// A right start of a slow swing by stiff servos is not abandoned. The first five are abandoned if the filters that test the start have all
+/// of the quietest model's process noise. Two of the others are abandoned if an axis that turns by nearly one quantisation interval per
+/// sample counts as passing an edge with each sample.
 #[test]
 fn stiff_swings_leave_a_right_start() {
     let [plus, minus] = [[7, 8, 24, 50, 93], [0, 1, 2, 3, 4]].map(|of| of.map(|seed| 1_457_900_000 + seed));
     assert_eq!(faults::lost_in_stiff_swings(plus, minus), [0, 0]);
 }
 
-/// A good encoder with jittering time stamps is not reported stuck. These five are if a rate comes from changes of readings at exact times.
+/// A good encoder with jittering time stamps is not reported stuck. The encoders of these five seeds are reported if a rate comes from
+/// changes of readings at exact times.
 #[test]
 fn jitter_makes_no_encoder_stuck() {
     assert_eq!(faults::stuck_by_jitter([4, 5, 7, 13, 35].map(|seed| 1_467_900_000 + seed)), 0);
 }
 
-/// An encoder that freezes in a fall as its axis turns back is reported. In these three it is not if the rate before the first repeated
-/// reading is used in place of the rate at it.
+/// An encoder that freezes in a fall as its axis turns back is reported. For these three seeds it is not reported if the rate before the
+/// first repeated reading replaces the rate at that reading.
 #[test]
 fn encoders_that_freeze_as_an_axis_turns_back_are_reported() {
     assert_eq!(faults::silent_in_falls([11, 38, 149].map(|seed| 1_467_900_000 + seed)), 0);
 }
 
-/// One encoder alone keeps the tip within its band. These end outside if its readings are weighted as if the model had no errors.
+/// One encoder alone keeps the tip within its band. The tips of these seeds end outside if the readings are weighted as if the model had no
+/// errors.
 #[test]
 fn one_encoder_keeps_the_tip_in_its_band() {
     assert_eq!(faults::beyond_by_one_encoder([3, 5].map(|seed| 1_497_900_000 + seed)), 0);
@@ -78,7 +81,7 @@ fn encoders_that_freeze_at_once_are_reported() {
     assert_eq!(faults::silent_where_both_freeze((0..3).map(|seed| 1_497_900_000 + seed)), 0);
 }
 
-/// A jump of a reading is reported although single samples are lost. It is not if one lost sample counts as silence.
+/// A jump of a reading is reported although single samples are lost. The jump is not reported if one lost sample counts as silence.
 #[test]
 fn lost_samples_hide_no_jump() {
     assert_eq!(faults::silent_with_lost_samples((0..4).map(|seed| 1_477_900_000 + seed)), 0);

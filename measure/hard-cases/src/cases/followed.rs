@@ -29,7 +29,7 @@ const JUDGED: usize = 4;
 /// Machines of a kind.
 struct Machines {
     case: &'static str,
-    /// Whether none may be lost. After a vertex encoders do not show the branch for a while.
+    /// Whether no machine may be lost. After a vertex encoders do not show the branch for a while.
     kept: bool,
     trials: Vec<Trial>,
 }
