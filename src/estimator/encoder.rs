@@ -382,12 +382,12 @@ impl Encoder {
         self.repeated
     }
 
-    /// Whether samples have arrived and have been believed for long enough that the estimate has settled on them.
+    /// Whether samples have arrived and have been trusted for long enough that the estimate has settled on them.
     pub(super) fn is_settled(&self) -> bool {
         self.believed_for >= SETTLING_TIME && !self.is_absent()
     }
 
-    /// Restarts the time for which samples have been believed, because the estimate restarts.
+    /// Restarts the time for which samples have been trusted, because the estimate restarts.
     pub(super) fn settle_anew(&mut self) {
         self.believed_for = 0.0;
     }

@@ -691,7 +691,7 @@ impl Estimator {
         }
     }
 
-    /// Whether no samples are used: no encoder is believed, or the estimate from one encoder alone has lost the machine.
+    /// Whether no samples are used: no encoder is trusted, or the estimate from one encoder alone has lost the machine.
     pub fn is_coasting(&self) -> bool {
         self.adrift || !self.encoders.iter().any(Encoder::is_believed)
     }
@@ -722,7 +722,7 @@ impl Estimator {
         self.encoders[i].has_received()
     }
 
-    /// Whether samples of both encoders have been believed for long enough that the estimate has settled on them.
+    /// Whether samples of both encoders have been trusted for long enough that the estimate has settled on them.
     pub fn is_settled(&self) -> bool {
         self.encoders.iter().all(|encoder| encoder.is_settled() && encoder.fault == Fault::None)
     }
@@ -767,8 +767,8 @@ impl Estimator {
         }
     }
 
-    /// Probability of a direct singularity within the horizon under the inputs of `scene`, a function of the time from now, s; they include
-    /// the unknown force. It is the fraction of 13 motions, 12 sigma points and their mean, that meet a singularity.
+    /// Probability of a direct singularity within the horizon under the inputs of `scene`, a function of the time from now, s; the inputs
+    /// include the unknown force. The probability is the fraction of 13 motions, 12 sigma points and their mean, that meet a singularity.
     pub fn singularity_probability<S: Scene>(
         &self,
         machine: &Machine,

@@ -129,7 +129,7 @@ impl Clock {
 }
 
 /// Refusal of a step past the end. A master may loop while its own sum of step sizes is below stopTime. If rounding makes the sum too
-/// small, it takes one step too many; the message names the difference.
+/// small, the master takes one step too many; the message names the difference.
 #[cold]
 fn past_end(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     let left = stop - point;

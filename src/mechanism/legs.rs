@@ -93,8 +93,8 @@ pub fn are_small([one, other]: [Legs; 2]) -> bool {
 /// quadrants.
 ///
 /// The tangent of half the angle is b/a, with polynomials of degree 5 and 4 whose angle is within 2.1e-17 rad (Remez, in 60 digits). Then
-/// sin δ = 2ab/(a² + b²) and 1 − cos δ = 2b²/(a² + b²) preserve the length of the direction for any quotient. Both are small, so the result
-/// has the round-off of the direction itself.
+/// sin δ = 2ab/(a² + b²) and 1 − cos δ = 2b²/(a² + b²) preserve the length of the direction for any quotient. These two terms are small, so
+/// the result has the round-off of the direction itself.
 #[inline(always)]
 pub fn rotated_by(direction: Legs2, angle: Legs) -> Legs2 {
     const A: [f64; 2] = [1_007.466_882_411_849_2, -111.946_052_422_894_71];

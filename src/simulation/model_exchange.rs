@@ -1,8 +1,8 @@
 //! Model exchange: proximal angles and rates are continuous states that a master integrates.
 //!
 //! Distal angles and rates follow from the closure, in the assembly of the start. The states are coordinates except at direct
-//! singularities: such a run ends there. Whole turns of the distal angles are counted from the last completed step; between two completed
-//! steps they must turn by less than half a turn.
+//! singularities, where a run ends. Whole turns of the distal angles are counted from the last completed step; between two completed steps
+//! they must turn by less than half a turn.
 
 use std::f64::consts::TAU;
 

@@ -1,7 +1,7 @@
 //! Passage through a vertex of the configuration space, where the constraints lose rank and branches cross (`docs/vertices.md`).
 //!
 //! If a motion is within [`PassageLimits::radius`] of a vertex and its impact parameter is below the limit, it continues straight along its
-//! ray, a line on the tangent cone, to the other side of the ball. Only there do the equations of motion not determine the acceleration,
+//! ray, a line on the tangent cone, to the other side of the ball. In the ball the equations of motion do not determine the acceleration,
 //! and the straight line is the physical continuation. A motion with a larger impact parameter is integrated and turns. Before the ball,
 //! steps form a geometric sequence, so that no step jumps over a vertex. A motion from rest exactly in a vertex starts along the branch of
 //! least constraint (Gauss).

@@ -172,8 +172,8 @@ const BRIEF_STEP_GROWTH: f64 = 1.05;
 
 /// Number of explicit steps at the stability limit that switch to implicit steps; each return doubles it.
 const STEPS_AT_LIMIT: u8 = 3;
-/// Number of successive implicit steps that could have been explicit before the switch goes back; each return doubles it. Saturated
-/// friction has zero tangents, so fewer steps would switch back too early.
+/// Number of successive implicit steps that could have been explicit before the switch goes back; each return doubles this number.
+/// Saturated friction has zero tangents, so fewer steps would switch back too early.
 const STEPS_BELOW_LIMIT: u8 = 3;
 /// Largest number of doublings.
 const MOST_RETURNS: u8 = 5;
@@ -181,8 +181,8 @@ const MOST_RETURNS: u8 = 5;
 const STABILITY_LIMIT_RANGE: [f64; 2] = [0.1, 12.0];
 /// Stability limit if none has been observed: the limit of DOP853 for a damper.
 const USUAL_STABILITY_LIMIT: f64 = 6.4;
-/// Number of explicit steps with stiff forces before the tangents are evaluated; each return doubles it. Round-off, amplified by stiff
-/// forces, may keep steps below the stability limit.
+/// Number of explicit steps with stiff forces before the tangents are evaluated; each return doubles this number. Round-off, amplified by
+/// stiff forces, may keep steps below the stability limit.
 const PROBE_INTERVAL: u16 = 100;
 /// Product of explicit step and fastest rate of the tangents above which implicit steps are tried. Steps limited by round-off have 0.8 or
 /// more, steps limited by accuracy 0.04 to 0.4.

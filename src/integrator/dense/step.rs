@@ -333,7 +333,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Result<EventCheck, f64> {
         let length = self.length;
         let (of, path) = ((system, settings.error_tolerance), self.path());
-        // Events are located on a dense output that agrees with the stages of the step. If it does not, there is no error estimate.
+        // Events are located on a dense output that agrees with the stages of the step. If the output does not agree, there is no error
+        // estimate.
         if !self.interpolant_is_consistent(settings) {
             return Err(f64::NAN);
         }

@@ -138,8 +138,8 @@ pub(super) fn checked_work(settings: &Settings, work: Work) -> Result<Work, f64>
     if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
 }
 
-/// Projects q and q̇ onto the constraints, from the pose at q. Close to a vertex it does not, because round-off would be amplified. `stiff`
-/// is the metric if it is not the mass metric. Returns the number of iterations and the mass factor.
+/// Projects q and q̇ onto the constraints, from the pose at q. Close to a vertex nothing is projected, because round-off would be
+/// amplified. `stiff` is the metric if it is not the mass metric. Returns the number of iterations and the mass factor.
 #[inline(always)]
 pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
     settings: &Settings,
