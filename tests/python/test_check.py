@@ -205,7 +205,7 @@ def test_a_machine_beyond_its_reach_or_away_from_its_start_is_named(capsys: pyte
 
 
 def test_errors_of_the_encoders_that_the_twin_does_not_take(capsys: pytest.CaptureFixture[str]) -> None:
-    """A coarse encoder: with the printed lines the next check passes."""
+    """The check of a coarse encoder prints lines for the scene; with these lines the next check passes."""
     coarse = 2 * np.pi / 2000
     write_csv(GRID, np.round(MOTION / coarse) * coarse)
     code, found, blocks = checked(capsys)

@@ -153,7 +153,7 @@ def test_two_robots_in_one_libcosim_system(fmu: Path, references: dict[str, int]
 def test_two_units_of_different_names_in_one_libcosim_system(
     fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str]
 ) -> None:
-    """The plain unit and one of one's own push each other; libcosim cannot set the latter's method and assembly, which are enumerations.
+    """The plain unit and a custom unit push each other; libcosim cannot set method and assembly of the custom unit, which are enumerations.
     Reference: two instances connected by a loop in Python, bit for bit."""
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimObserver import CosimObserver
@@ -233,7 +233,7 @@ print(json.dumps({unit: {name: values[-1] for (of, name), values in ((k, v) for 
 
 @pytest.mark.full
 def test_cofmupy(fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str], tmp_path: Path) -> None:
-    """A master for digital twins, which sets and reads only Reals: the plain unit pushes the tip of one of one's own."""
+    """In a master for digital twins, which sets and reads only Reals, the plain unit pushes the tip of a custom unit."""
     steps, size = 50, 0.01
     unit = {"plain": (fmu, FALL), "own": (own.fmu, {})}
     wire = {"source": {"id": "plain", "variable": "tip.x"}, "target": {"id": "own", "variable": "tip.fx"}}

@@ -18,7 +18,7 @@ def reference(model: ModelDescription, name: str) -> int:
 
 
 def test_directional_derivatives_are_differences(new: New, model: ModelDescription) -> None:
-    """The matrix for a master: accelerations by torques and angles."""
+    """The matrix for a master has the derivatives of accelerations with respect to torques and angles."""
     unknowns, step = ["alpha[1]", "alpha[2]", "tip.ax"], 1e-5
     references = [reference(model, name) for name in unknowns]
 

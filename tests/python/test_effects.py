@@ -68,7 +68,7 @@ def test_viscous_friction_dissipates_its_power(new: New) -> None:
 
 
 def test_dry_friction_resists_a_small_torque(new: New) -> None:
-    """Half of the Coulomb torque: the smooth law creeps at w_c/2 = 5e-3 rad/s or less for 0.5 s; without friction the link accelerates away."""
+    """Under half of the Coulomb torque the smooth law creeps at w_c/2 = 5e-3 rad/s or less for 0.5 s; without friction the link accelerates away."""
     sticking, bare = with_and_without(new, "friction", FLAT | {"tau[1]": 5e-4})
     for instance in (sticking, bare):
         instance.steps(500, 1e-3)
@@ -90,7 +90,7 @@ def test_stop_ends_a_swing(new: New) -> None:
 
 
 def test_contact_carries_a_pressed_tip(new: New) -> None:
-    """2 N on a wall of 2e3 N/m: at rest 1 mm deep, with a reaction of 2 N; bouncing decays within 1 s."""
+    """A tip pressed with 2 N on a wall of 2e3 N/m rests 1 mm deep with a reaction of 2 N, after it has bounced for less than 1 s."""
     touching, bare = with_and_without(
         new, "contact", FLAT | {"contact.offset": 0.28, "tip.fy": -2.0, "viscous.enabled": True}
     )
@@ -113,7 +113,7 @@ def test_servo_goes_to_its_reference(new: New) -> None:
 
 
 def test_a_servo_acts_after_its_delay(new: New) -> None:
-    """A reference set at 10 ms acts at 27.3 ms, within a step: as one that is set then. The difference is round-off of the step that is divided."""
+    """A reference set at 10 ms acts at 27.3 ms, within a step, like a reference set at 27.3 ms. The difference is round-off of the divided step."""
     held = FLAT | {"servo.enabled": True, "servo.theta[1]": 2.2209, "servo.theta[2]": 0.9207}
     late, at_once = (new().initialise(held | {"servo.delay": delay}) for delay in (0.0173, 0.0))
     late.steps(10, 1e-3)

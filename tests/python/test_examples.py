@@ -51,7 +51,7 @@ def test_own_scene(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_look_ahead(fmu: Path, tmp_path: Path) -> None:
-    """The torque with the highest end is chosen, and looking ahead does not change the twin: it ends as without."""
+    """The torque with the highest end is chosen, and looking ahead does not change the end of the twin's motion."""
     printed = output(fmu, tmp_path, "look_ahead.py")
     ways = [
         [(float(torque), float(y)) for torque, y in re.findall(r"(\S+) N\.m leads to (\S+) m", line)]

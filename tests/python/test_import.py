@@ -453,7 +453,7 @@ def test_distal_links_and_turns_are_put_in_order(tmp_path: Path, capsys: pytest.
 
 
 def test_evidence_of_another_machine_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Distal links of a machine twice as wide, and commands that no angle follows: the map stays unchanged."""
+    """The distal links are those of a machine twice as wide, and no angle follows the commands: the map stays unchanged."""
     posture = Kinematics.from_values(LENGTHS | {"link[2].length": 0.3, "link[3].length": 0.3}).forward(MOTION)
     commands = np.column_stack([np.sin(11 * GRID), np.cos(13 * GRID)])
     file = write_csv(tmp_path / "a.csv", "time,a,b,x,y,c,d", GRID, *MOTION.T, *posture.theta[:, 1:3].T, *commands.T)
@@ -591,7 +591,7 @@ def test_the_haptic_pantograph_of_others(tmp_path: Path, recordings: Path) -> No
 def test_zeros_of_the_pantograph_are_found(
     tmp_path: Path, recordings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A map without zeros: the distal links give 147 and 33 degrees, the values of the authors."""
+    """From a map without zeros the distal links give 147 and 33 degrees, the values of the authors."""
     raw = {name: {"column": f"/joint_states/joint{i}/position"} for i, name in ((1, "t1"), (2, "t2"))}
     passive = {
         f"passive.theta[{i}]": {"column": f"/joint_states/joint{i + 2}/position", "relative": True} for i in (1, 2)

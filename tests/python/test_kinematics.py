@@ -111,7 +111,7 @@ def pair(columns: dict[str, np.ndarray], first: str, second: str) -> np.ndarray:
 
 
 def test_the_unit_agrees(new: Callable[..., Instance]) -> None:
-    """10,000 postures of 200 machines: positions to 1e-12 m both ways; angles, rates and the Jacobian within their conditioning."""
+    """In 10,000 postures of 200 machines positions agree to 1e-12 m both ways, and angles, rates and the Jacobian within their conditioning."""
     instance = new()
     for sample in samples(200, 50):
         made = sample.machine
@@ -258,7 +258,7 @@ def test_direct_singularity_on_the_axis() -> None:
 
 @pytest.mark.parametrize("made", [PAPER, HAPTIC, DEXTAR, PANTOGRAPH, machine(0.3, 0.2, 0.25)])
 def test_stretched_distal_links_are_on_the_curve_of_watt(made: Machine) -> None:
-    """Polar about the middle of the base: r^2 = l_P^2 - (a sin f +- sqrt(l_D^2 - a^2 cos^2 f))^2."""
+    """In polar coordinates about the middle of the base the curve is r^2 = l_P^2 - (a sin f +- sqrt(l_D^2 - a^2 cos^2 f))^2."""
     half, (proximal, distal) = made.distance / 2, made.legs[0]
     for locus in made.direct_singularities():
         if locus.posture == "stretched":
@@ -371,7 +371,7 @@ def test_coaxial_motors() -> None:
 
 
 def test_symmetric_tip_needs_no_lengths() -> None:
-    """Both legs bent alike below a tip on the axis of symmetry: kappa = max(y/a, a/y)."""
+    """If both legs are bent alike below a tip on the axis of symmetry, kappa = max(y/a, a/y)."""
     for made in (PAPER, HAPTIC, DEXTAR, PANTOGRAPH):
         half = made.distance / 2
         for y in np.linspace(0.3, 0.9, 7) * np.sqrt(made.reach[0, 1] ** 2 - half**2):

@@ -122,7 +122,10 @@ def test_it_moves_from_disk_and_asks_for_nothing(browser: Any) -> None:
 
 
 def test_a_frame_takes_less_than_its_sixtieth_of_a_second(browser: Any) -> None:
-    """60 frames a second on one core, and motion within a second. The CPU time of the page's thread counts, which other programs do not change."""
+    """One core draws 60 frames a second, and the motion begins within a second.
+
+    The CPU time of the page's thread counts, which other programs do not change.
+    """
 
     def computed() -> float:
         metrics = browser.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]

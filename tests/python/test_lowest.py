@@ -24,7 +24,10 @@ assert fall.to_parquet("fall.parquet").is_file() and "image/png" in fall._repr_h
 
 
 def test_the_twin_and_tables_with_the_oldest_allowed_packages(fmu: Path, tmp_path: Path) -> None:
-    """Five seconds, and a short run. Only wheels are installed: a version without one for this Python counts as too old."""
+    """The twin runs for five seconds, and a short run writes its table.
+
+    Only wheels are installed: a version without one for this Python counts as too old.
+    """
     environment = tmp_path / "environment"
     programs = environment / ("Scripts" if sys.platform == "win32" else "bin")
 

@@ -41,7 +41,7 @@ def motion(fmu: Path, made: scene.Scene, kind: str | None, **settings: float) ->
 
 
 def test_cvode_agrees_with_co_simulation(fmu: Path, scenes: Path) -> None:
-    """pick_and_place with setpoints constant for 10 ms in both: each within its own tolerance. FMPy uses co-simulation unless asked."""
+    """With setpoints constant for 10 ms, both solve pick_and_place within their own tolerances. FMPy uses co-simulation unless asked."""
     made = scene.read(scenes / "pick_and_place.json").coarser(0.01)
     stepped = motion(fmu, made, None)
     assert np.ptp(stepped["tip.x"]) > 0.2

@@ -255,7 +255,7 @@ def order_of_evaluation(
 @pytest.mark.parametrize("section", ["Outputs", "InitialUnknowns"])
 def test_units_coupled_through_their_tips_form_no_loop(root: etree._Element, section: str) -> None:
     """Tip, angles and rates of each determine forces and setpoints of the other: there is no loop, neither at the start nor during the run.
-    Torques of servos that follow each other form one, and without dependencies everything would."""
+    Torques of servos that follow each other form a loop, and without dependencies everything would."""
 
     def both_ways(*pairs: tuple[str, str]) -> list[tuple[str, str]]:
         return [(f"{a}.{source}", f"{b}.{sink}") for a, b in (("one", "two"), ("two", "one")) for source, sink in pairs]

@@ -241,7 +241,7 @@ ALMOST_ALIKE = [{"link[2].length": 0.3, "link[3].length": 0.3 + more} for more i
 )
 @pytest.mark.parametrize("working", WORKING_MODES[:3])
 def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bool], working: Working) -> None:
-    """Random lines against dense sampling: free lines cross no border; blocked ones are free up to the reported place, and not behind it."""
+    """Random lines are compared with dense sampling: free lines cross no border; blocked ones are free up to the reported place, and not behind it."""
     made = table(values)
     machine = Machine.from_scene(made)
     random = np.random.default_rng(7)

@@ -61,7 +61,7 @@ def test_references_are_those_of_the_scenes(path: Path, model: ModelDescription)
     "name", ["paper_free_fall", "paper_torque", "paper_torque_gravity", "fall_90_120", "flat_table"]
 )
 def test_scenes_keep_their_energy(new: New, scenes: Path, name: str) -> None:
-    """Every scene to its end with its own settings: finite, |energy.error| <= 1e-2 mgL, constraints satisfied."""
+    """Every scene reaches its end with its own settings: values are finite, |energy.error| <= 1e-2 mgL, and constraints are satisfied."""
     instance = new()
     ready = scene.read(scenes / f"{name}.json")
     instance.initialise(ready.variants[0].values, stop_time=ready.stop_time)

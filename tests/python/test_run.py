@@ -301,7 +301,7 @@ def test_a_step_that_fails_raises_an_error_with_the_part_result(fmu: Path) -> No
 
 
 def test_warnings_of_a_run_are_logged(fmu: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The logger of units gets them; without logging, standard error stays empty."""
+    """The logger of units gets the warnings; without logging, standard error stays empty."""
     with caplog.at_level(logging.WARNING, "fivebar"):
         result = fivebar.run("swing", stop_time=0.01, inputs={"servo.theta[1]": ([0, 0.01], [0, 1])})
     [record] = caplog.records
@@ -373,7 +373,7 @@ def test_a_scene_as_a_dict(fmu: Path) -> None:
 
 
 def test_refused(fmu: Path, tmp_path: Path) -> None:
-    """A scene that cannot be started: one sentence, exit code 2, no traceback, nothing written."""
+    """A scene that cannot be started gives one sentence and exit code 2, without traceback or files."""
     process = run(fmu, tmp_path, made_scene(UNREACHABLE, 0.2))
     assert process.returncode == 2
     assert "0.84" in process.stderr and process.stderr.count("\n") == 1

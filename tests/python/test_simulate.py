@@ -30,7 +30,7 @@ def test_five_lines(fmu: Path) -> None:
 
 
 def test_the_default_experiment_is_interesting(fmu: Path) -> None:
-    """With nothing set: the paper's free fall through many singularities, with constant energy."""
+    """With nothing set the unit makes the paper's free fall through many singularities, with constant energy."""
     names = ["tip.y", "energy.error", "singular.passes.direct", "singular.passes.inverse[1]"]
     result = simulate_fmu(str(fmu), output=names)
     assert result["time"][0] == 0 and result["time"][-1] == pytest.approx(50)

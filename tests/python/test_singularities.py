@@ -99,7 +99,7 @@ def test_a_near_miss_is_no_event() -> None:
 
 
 def test_a_start_in_a_singularity() -> None:
-    """The paper's free fall: distal links in line at the start, up to the last bits of pi."""
+    """The paper's free fall starts with its distal links in line, up to the last bits of pi."""
     run = made_up(math.pi + 1e-16 - 4 * TIME**2 * 0.2, CALM, CALM)
     assert outlines(run) == ["direct start: stretched - -"]
     assert singularities.find(run)[0].time == 0.0
@@ -142,7 +142,7 @@ def test_neighbours_are_not_combined() -> None:
 
 
 def test_a_long_stay_keeps_its_name() -> None:
-    """Distal links that stay in line while a leg crosses: a direct singularity, and a combined one within."""
+    """If the distal links stay in line while a leg crosses, there is a direct singularity with a combined one within."""
     between = 2e-4 * np.ones(1001) - 1e-4 * (TIME < 0.1)
     run = made_up(between, CALM, passing(9, 0.6))
     assert outlines(run) == ["direct start: folded - -", "combined crossed: folded - stretched"]

@@ -255,7 +255,7 @@ def test_a_run_takes_the_steps_of_a_live_unit(library: Library, between: motion.
 
 
 def test_the_usual_unknowns_of_a_record_take_few_runs(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """10 s and 15 unknowns. Central differences and all shortest pieces would take 6,969 runs."""
+    """The record has 10 s and 15 unknowns. Central differences and all shortest pieces would take 6,969 runs."""
     file = played(tmp_path, fmu, library, "pick_and_place", 2000)
     words = ["--fmu", str(fmu), "--scene", "pick_and_place", "--out", str(tmp_path / "out"), "--no-proposal"]
     assert main(["calibrate", str(file), *words]) in (0, 1)

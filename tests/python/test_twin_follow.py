@@ -93,7 +93,7 @@ def test_the_twin_follows_within_its_bands(config: Config, library: Library, sam
 
 
 def test_a_twin_with_the_delay_of_its_machine_follows_it(config: Config, library: Library) -> None:
-    """17 ms, from a stored state on as well: innovations as without any delay. A twin that does not know it takes it for a force."""
+    """With a delay of 17 ms, innovations are as small as without a delay, also from a stored state on. A twin that does not know the delay takes it for a force."""
     rms = {}
     for name, machines, own in (("none", 0.0, 0.0), ("known", 0.017, 0.017), ("unknown", 0.017, 0.0)):
         hidden = config.machine.hidden | {"servo.delay": machines}

@@ -257,7 +257,7 @@ def test_drives_get_the_same_commands(tmp_path: Path, fmu: Path, library: Librar
 
 
 def test_a_value_at_its_bound_is_reported(tmp_path: Path, fmu: Path, library: Library) -> None:
-    """An encoder offset of ten standard deviations: one warning of the unit, one alarm for the dashboard."""
+    """An encoder offset of ten standard deviations gives one warning of the unit and one alarm for the dashboard."""
     config = configured(tmp_path, fmu, library, "fall_90_120", learn=True)
     hidden = config.machine.hidden | {OFFSETS[0]: 2e-2}
     run = recorded(replace(config, machine=replace(config.machine, hidden=hidden)), library, 600)

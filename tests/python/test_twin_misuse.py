@@ -98,7 +98,7 @@ def test_a_scene_that_can_never_be_followed_ends_the_start(tmp_path: Path, fmu: 
 def test_a_refused_start_is_reported(
     what: str, tmp_path: Path, fmu: Path, library: Library, scenes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A loop that cannot close, degrees for radians, other lengths: each gives a log line, a line on the terminal and an alarm."""
+    """A loop that cannot close, degrees for radians and other lengths each give a log line, a line on the terminal and an alarm."""
     config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json", exact=True)
     taken = samples(config, library, 40)
     if what == "lengths":
@@ -138,7 +138,7 @@ def test_one_encoder_alone_starts_nothing_and_says_so(config: Config, library: L
 
 
 def test_silence_counts_before_the_first_estimate(tmp_path: Path) -> None:
-    """With samples, after 2.5 s without estimates; without samples, after half a minute."""
+    """The watch reports silence after 2.5 s of samples without estimates, and after half a minute without samples."""
     for send_samples, before, after in ((True, 2.4e9, 2.7e9), (False, NO_SAMPLE + 2.4e9, NO_SAMPLE + 2.7e9)):
         watch = Watch(Config(str(tmp_path), "", ""))
         ear = Ear(watch)
@@ -374,7 +374,7 @@ def test_a_full_disk_ends_nothing(
 
 @pytest.mark.nightly
 def test_a_small_disk(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """A whole run on a real full disk: no traceback, estimates to the end, and the summary names the missing rows."""
+    """A whole run on a real full disk has no traceback and estimates to its end; the summary names the missing rows."""
     small = tmp_path / "small"
     small.mkdir()
     if (

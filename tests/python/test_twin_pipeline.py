@@ -207,7 +207,7 @@ def test_impossible_options_are_refused_before_any_process_starts(
 
 
 def test_mqtt_js_is_the_pinned_one() -> None:
-    """dist/mqtt.min.js of the npm package mqtt 5.16.0: `npm pack mqtt@5.16.0`."""
+    """The file is dist/mqtt.min.js of the npm package mqtt 5.16.0 (`npm pack mqtt@5.16.0`)."""
     script = (REPOSITORY / "python" / "src" / "fivebar" / "twin" / "page" / "mqtt.min.js").read_bytes()
     assert hashlib.sha256(script).hexdigest() == "f3cbeae580d3010048938ee370f2db0c15d16e6f7fc147cb32ae5510e571b387"
 

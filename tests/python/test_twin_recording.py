@@ -156,7 +156,7 @@ def test_the_table_of_a_run_is_a_recording(tmp_path: Path, fmu: Path) -> None:
 
 
 def test_each_series_begins_in_a_turn_of_its_own(tmp_path: Path, fmu: Path) -> None:
-    """In calibration and twin alike: the encoders' counts restart with the clock, the servos' commands do not."""
+    """In calibration and twin, the encoders' counts restart with the clock; the servos' commands do not."""
     result = simulate.run("pick_and_place", fmu=fmu)
     columns = {
         name: np.tile(result[name][:100], 2)

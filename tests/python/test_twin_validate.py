@@ -328,7 +328,7 @@ def joint_states(bag: Path) -> list[tuple[float, dict[str, float]]]:
 
 
 def test_a_haptic_pantograph(recordings: Path, judge: Judge) -> None:
-    """A hand and unrecorded drives jerk it; masses and friction are guesses: the twin follows it, and reports that its forecasts are poor."""
+    """A hand and unrecorded drives jerk the machine, and masses and friction are guesses. The twin follows it, and reports that its forecasts are poor."""
     (bag,) = (recordings / "haptic_pantograph").glob("*.db3")
     # The machine rests before and after.
     states = joint_states(bag)[2400:5000]

@@ -46,7 +46,7 @@ def test_integers_booleans_and_enumerations(new: Callable[..., Instance]) -> Non
 
 
 def test_consistent_start(new: Callable[..., Instance]) -> None:
-    """Outputs right after initialisation, against plain geometry."""
+    """Outputs right after initialisation agree with plain geometry."""
     instance = new().initialise()
     assert instance.tip() == pytest.approx((0.21, 0.21), abs=1e-12)
     assert instance.get("elbow[2].x") == pytest.approx(0.42, abs=1e-12)

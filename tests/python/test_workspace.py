@@ -289,7 +289,7 @@ def test_pictures_and_tables(tmp_path: Path) -> None:
 
 
 def test_the_command_maps_a_scene(tmp_path: Path, fmu: Path) -> None:
-    """As a user runs it: pictures are not empty and show the scene's motion; errors are one sentence."""
+    """A user's command makes pictures that are not empty and show the scene's motion; errors are one sentence."""
     run = lambda *words: subprocess.run(
         [sys.executable, "-m", "fivebar", "map", *words],
         cwd=tmp_path,
