@@ -9,8 +9,8 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Matrix4};
 
 use super::error_state::{
-    ERRORS, Error, FORCE, MOVING, Matrix, READINGS, Transition, combine, independent, is_covariance, isolate_force,
-    move_covariance, move_errors, reduce, turn_covariance, turn_errors,
+    ERRORS, Error, FORCE, MOVING, Matrix, READINGS, Transition, bound_variances, combine, independent, is_covariance,
+    isolate_force, move_covariance, move_errors, reduce, turn_covariance, turn_errors,
 };
 use super::flow::unit_forces;
 use super::propagation::ProcessNoise;
@@ -422,20 +422,14 @@ impl Intensities {
     }
 }
 
-/// Bounds the errors of model j and their variances in unobserved directions; `also` gets the index and the factor of each variance that is
-/// scaled.
-pub(super) fn bound(j: usize, Member { error, covariance, .. }: &mut Member, mut also: impl FnMut(usize, f64)) {
+/// Bounds the errors of model j and their variances; `also` as in [`bound_variances`].
+pub(super) fn bound(j: usize, Member { error, covariance, .. }: &mut Member, also: impl FnMut(usize, f64)) {
     let largest = [LARGEST_ANGLE_VARIANCES[j], LARGEST_RATE_VARIANCE];
     for i in 0..FORCE {
-        let (variance, most) = (covariance[(i, i)], largest[i / 2]);
-        error[i] = error[i].clamp(-most.sqrt(), most.sqrt());
-        if variance > most {
-            let factor = (most / variance).sqrt();
-            covariance.row_mut(i).scale_mut(factor);
-            covariance.column_mut(i).scale_mut(factor);
-            also(i, factor);
-        }
+        let most = largest[i / 2].sqrt();
+        error[i] = error[i].clamp(-most, most);
     }
+    bound_variances(covariance, largest, also);
 }
 
 #[cfg(test)]

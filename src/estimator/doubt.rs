@@ -85,6 +85,13 @@ impl Doubt {
         }
     }
 
+    /// Closes the loop of the other motion again after lengths have changed. Ends the doubt if it cannot be closed.
+    pub(super) fn close(&mut self, linkage: &Linkage) {
+        if self.branches().is_some_and(|branches| !linkage.close(&mut branches.other.motion)) {
+            *self = Self::Ended;
+        }
+    }
+
     /// Receives a sample of encoder i about the estimate, before the update of the estimate.
     pub(super) fn receive(&mut self, i: usize, sample: &Innovation) {
         if let Some(branches) = self.branches() {

@@ -155,6 +155,20 @@ pub(super) fn reduce_in_part<const N: usize>(
     }
 }
 
+/// Bounds the variances of angles, rad², and of rates, rad²/s², in unobserved directions; correlations stay. Larger variances would take
+/// digits from small ones. `also` gets the index and the factor of each error that is scaled.
+pub(super) fn bound_variances(covariance: &mut Matrix, largest: [f64; 2], mut also: impl FnMut(usize, f64)) {
+    for i in 0..FORCE {
+        let (variance, most) = (covariance[(i, i)], largest[i / 2]);
+        if variance > most {
+            let factor = (most / variance).sqrt();
+            covariance.row_mut(i).scale_mut(factor);
+            covariance.column_mut(i).scale_mut(factor);
+            also(i, factor);
+        }
+    }
+}
+
 /// Whether a stored matrix is possible as a covariance: symmetric to the bit, no negative variance, no correlation beyond 1 except for
 /// round-off.
 pub(super) fn is_covariance<const N: usize>(p: &SMatrix<f64, N, N>) -> bool {

@@ -322,6 +322,23 @@ impl Hypotheses {
         self.mirror_odds = self.mirror_odds.max(odds.clamp(NEGLIGIBLE_ODDS, 0.0));
     }
 
+    /// Closes the loops of all alternatives again after lengths have changed. Drops those that cannot be closed.
+    pub(super) fn close(&mut self, linkage: &Linkage) {
+        let close = |other: &mut Alternative| linkage.close(&mut other.motion);
+        let stays = match &mut self.question {
+            Question::None => true,
+            Question::Passage { passing, .. } => close(passing),
+            Question::Assemblies { own, other, .. } => close(own) && close(other),
+            Question::Vertex { ways, .. } => {
+                ways.retain(|way| close(&mut way.other));
+                !ways.is_empty()
+            }
+        };
+        if !stays {
+            self.question = Question::None;
+        }
+    }
+
     /// Counts samples: those far from the estimate (`off`) add `passed` seconds, others subtract them. Returns whether the estimate is
     /// lost.
     pub(super) fn is_lost(&mut self, off: bool, passed: f64) -> bool {

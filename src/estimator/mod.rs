@@ -174,15 +174,18 @@ impl Estimator {
     /// Measurement update of a motion by the samples that are new at time `now`, s on the encoders' clock. Returns the corrected motion;
     /// `None` if no sample has changed the estimate. Learned lengths change the closed loop of `machine`.
     pub fn correct(&mut self, machine: &mut Machine, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
-        let corrected = self.corrected(machine, motion, measured, now);
-        match self.learned() {
-            // Learning has restarted: the motion has to close the loop of the new lengths.
-            Some(learned) if machine.learn(&learned) => {
-                let corrected = corrected.unwrap_or(*motion);
-                Some(machine.linkage.closed(corrected).map_or(corrected, |(closed, _)| closed))
+        let mut corrected = self.corrected(machine, motion, measured, now);
+        if let Some(learned) = self.learned() {
+            let changed = machine.learn(&learned);
+            // If learning has restarted, all motions have to close the loop of the new lengths. The machine may already have them.
+            let open = corrected.unwrap_or(*motion);
+            if changed || !self.filter.learns_geometry() && !machine.linkage.is_closed(&open) {
+                corrected = Some(machine.linkage.closed(open).map_or(open, |(closed, _)| closed));
             }
-            _ => corrected,
+            self.hypotheses.close(&machine.linkage);
+            self.doubt.close(&machine.linkage);
         }
+        corrected
     }
 
     /// Stages of a measurement update. The returned motion closes the loop unless learning has restarted.
@@ -521,10 +524,14 @@ impl Estimator {
             }
             Adrift => {
                 encoders.iter_mut().for_each(Encoder::settle_anew);
-                forecast.end();
                 *adrift = true;
             }
             Branch | Assembly(_) | Unclosed | Runaway | Repetition(..) => (),
+        }
+        match kind {
+            // The machine may be anywhere, and sigma points do not close the loop of restarted lengths.
+            Runaway | Adrift => forecast.end(),
+            Branch | Assembly(_) | Samples { .. } | Unclosed | Repetition(..) => (),
         }
     }
 

@@ -126,6 +126,11 @@ impl Linkage {
         None
     }
 
+    /// Closes the loop of a state if it is open. Returns whether it is closed then.
+    pub(super) fn close(&self, state: &mut LinkState) -> bool {
+        self.is_closed(state) || self.closed(*state).map(|(closed, _)| *state = closed).is_some()
+    }
+
     /// Displaces a state by an error ([`Frame::displaced`]) and closes the loop. Closing adds a quadratic term to the motor angles, which
     /// samples contradict. If the motors determine the posture, this term is removed.
     pub(super) fn displaced(&self, at: &Frame, from: &LinkState, error: [f64; 4]) -> Option<(LinkState, Frame)> {

@@ -20,15 +20,15 @@ use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 
 use super::belief::Innovation;
 use super::error_state::{
-    ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, is_covariance, move_covariance, move_errors, reduce,
-    turn_covariance, turn_errors,
+    ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, bound_variances, is_covariance, move_covariance, move_errors,
+    reduce, turn_covariance, turn_errors,
 };
 use super::flow::Scene;
 use super::machine::Machine;
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
 use super::tangent::{Frame, LinkState, Links, Pair};
-use super::tuning::{LARGEST_NIS, SIZES, TAKEN_AS_KNOWN};
+use super::tuning::{ANYWHERE, LARGEST_NIS, LARGEST_RATE_VARIANCE, SIZES, TAKEN_AS_KNOWN};
 
 /// Columns of the responses: torques of both motors, force at the tip, jumps of both encoders, delay, parameters.
 pub(super) const TORQUES: Range<usize> = 0..2;
@@ -160,6 +160,7 @@ impl Witness {
         for k in 2..4 {
             self.covariance[(k, k)] += bend * bend;
         }
+        bound_variances(&mut self.covariance, [ANYWHERE, LARGEST_RATE_VARIANCE], |_, _| ());
         if let Some(accelerations) = first {
             self.stand_back(2, accelerations);
         }

@@ -37,6 +37,7 @@ mod fmi_stack; // every function in threads with a small stack
 mod fmi_state; // stored states: complete, in any order, as bytes
 mod fmi_step; // communication points, the step grid, discard, status functions
 mod fmi_values; // reading and writing variables
+mod followed_states; // states of followed runs, whatever the samples: restored, and continued with the same bits
 mod forged_states; // stored states changed byte by byte: refused, or motions that continue (too many for valgrind)
 mod legal_states; // stored states of any motion can be read back and continue with the same bits
 mod unknown_commands; // forecasts that do not know the future commands
