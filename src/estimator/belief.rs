@@ -195,19 +195,12 @@ impl Bank {
         }
     }
 
-    /// Time update by h seconds: mixing of the models, transition F, process noise. `scales` are the torque scale, N·m, the inertia
-    /// torques, N·m, and an additional random walk of the unknown force, N·m/√s. A model lasts for `switch_time`, s, on average; then a
-    /// model drawn from `priors` replaces it.
-    pub fn predict(
-        &mut self,
-        f: &Transition,
-        noise: &ProcessNoise,
-        scales: [f64; 3],
-        (h, switch_time): (f64, f64),
-        priors: &[f64; MODELS],
-    ) {
+    /// Time update: mixing of the models, transition F, process noise. `scales` are the torque scale, N·m, the inertia
+    /// torques, N·m, and an additional random walk of the unknown force, N·m/√s. A model persists with the probability `stay`, as
+    /// [`persistence`] has it; else a model drawn from `priors` replaces it.
+    pub fn predict(&mut self, f: &Transition, noise: &ProcessNoise, scales: [f64; 3], stay: f64, priors: &[f64; MODELS]) {
         let end = |j, member: &mut Member| bound(j, member, |_, _| ());
-        self.predict_with(f, noise, (&TAKEN_AS_KNOWN, scales), (persistence(h, switch_time), priors), end);
+        self.predict_with(f, noise, (&TAKEN_AS_KNOWN, scales), (stay, priors), end);
     }
 
     /// Time update with the probability `stay` that a model persists; `end` runs on each model after the prediction and bounds it.

@@ -6,7 +6,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, SMatrix};
 
-use super::belief::{Bank, Belief, Innovation, Prediction};
+use super::belief::{Bank, Belief, Innovation, Prediction, persistence};
 use super::error_state::{Error, GEOMETRY, LEARNED, LOADS, Learned, OFFSETS, READINGS};
 use super::flow::Flow;
 use super::learning::{Columns, Learning, Persistent, ReadingErrors};
@@ -173,7 +173,7 @@ impl Filter {
             }
             (learning, _) => {
                 learning.iter_mut().for_each(|learning| learning.pause(bank));
-                bank.predict(&step.f, noise, scales, timing, priors);
+                bank.predict(&step.f, noise, scales, persistence(timing.0, timing.1), priors);
             }
         }
     }

@@ -155,9 +155,11 @@ impl<const P: usize> Point<P> {
 pub fn flow<const P: usize>(
     linkage: &Linkage,
     scene: &impl Scene,
-    (from, frame): (&LinkState, &Frame),
+    from: &LinkState,
+    frame: &Frame,
     force: &Links,
-    (h, least): (f64, u32),
+    h: f64,
+    least: u32,
 ) -> Flow<P> {
     let units = unit_forces(linkage, frame);
     let near = scene.linearised(from, force, &(frame.by_inputs() * units));

@@ -15,7 +15,7 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::belief::{Bank, Belief};
+use super::belief::{Bank, Belief, persistence};
 use super::encoder::Measurement;
 use super::error_state::{Error, FORCE, Transition, turn_errors};
 use super::flow::{self, Scene};
@@ -427,7 +427,7 @@ impl Alternative {
         } else {
             let turn = h * self.motion.fastest() / from.smallest.max(LEAST_SINGULAR_VALUE);
             let fine = (turn / LARGEST_TURN).ceil().clamp(1.0, MOST_FINE_STEPS) as u32;
-            let flow = flow::flow::<0>(linkage, scene, (&self.motion, &from), &force, (h, fine));
+            let flow = flow::flow::<0>(linkage, scene, &self.motion, &from, &force, h, fine);
             let (end, to) = if matches!(moves, Moves::Straight(_)) && from.smallest < NEAR_VERTEX {
                 straight_on(linkage, &self.motion, h)?
             } else if linkage.posture(&flow.end.theta).gram(linkage.length).1 < NEAR_VERTEX {
@@ -438,8 +438,8 @@ impl Alternative {
             };
             (end, Propagation::along(&flow, scene.mass(&self.motion.theta), &from, (&end, &to), h))
         };
-        let (scale, timing) = (scale * machine.torque_scale(), (h, machine.parameters.switch_time));
-        self.belief.bank.predict(&step.f, &step.noise(h), [scale, 0.0, 0.0], timing, models);
+        let (scale, stay) = (scale * machine.torque_scale(), persistence(h, machine.parameters.switch_time));
+        self.belief.bank.predict(&step.f, &step.noise(h), [scale, 0.0, 0.0], stay, models);
         self.motion = end;
         Some(step)
     }

@@ -612,11 +612,11 @@ impl Estimator {
         self.coasts = coasts;
         let (mass, ahead) = (scene.mass(&from.theta), linkage.frame(&to.theta));
         let learned: Option<Flow<LEARNED>> =
-            self.filter.learns().then(|| flow(linkage, scene, (from, &frame), &self.filter.belief.force, (h, 1)));
+            self.filter.learns().then(|| flow(linkage, scene, from, &frame, &self.filter.belief.force, h, 1));
         let step = match &learned {
             Some(flow) => Propagation::along(flow, mass, &frame, (to, &ahead), h),
             None => {
-                let flow: Flow<0> = flow(linkage, scene, (from, &frame), &self.filter.belief.force, (h, 1));
+                let flow: Flow<0> = flow(linkage, scene, from, &frame, &self.filter.belief.force, h, 1);
                 Propagation::along(&flow, mass, &frame, (to, &ahead), h)
             }
         };

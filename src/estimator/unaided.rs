@@ -6,7 +6,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::belief::Bank;
+use super::belief::{Bank, persistence};
 use super::encoder::{Encoder, Fault, Measurement};
 use super::error_state::Error;
 use super::propagation::{ProcessNoise, Propagation};
@@ -97,7 +97,8 @@ impl Unaided {
             self.time += timing.0;
             // A repeated reading keeps its error.
             let noise = ProcessNoise { kept: 1.0, ..*noise };
-            bank.predict(&step.f, &noise, [scale, inertia, self.force * CARRIED_WALK.sqrt()], timing, &LIKELY_MODELS);
+            let stay = persistence(timing.0, timing.1);
+            bank.predict(&step.f, &noise, [scale, inertia, self.force * CARRIED_WALK.sqrt()], stay, &LIKELY_MODELS);
         }
     }
 
