@@ -56,10 +56,11 @@ impl Goal {
         KEPT.get(&self.name()).copied().unwrap_or_else(|| self.end())
     }
 
-    /// A name that identifies a scene despite round-off of its values: FNV-1a of nine digits of each.
+    /// A name that identifies a scene despite round-off of its values: FNV-1a of nine digits of each. A delay of 0 is not part of it, so that
+    /// scenes without one keep their names.
     fn name(&self) -> String {
         let Self { parameters: Parameters { geometry, effects, start, .. }, inputs, duration } = self;
-        let text = format!("{:?}", (geometry, effects, start, inputs, duration));
+        let text = format!("{:?}", (geometry, effects, start, inputs, duration)).replace(", delay: 0.0", "");
         let words = text.split(|c: char| !(c.is_alphanumeric() || c == '.' || c == '-'));
         let rounded = words.map(|word| word.parse::<f64>().map_or_else(|_| word.to_owned(), |value| format!("{value:.8e}")));
         let hash = rounded

@@ -22,7 +22,7 @@ const LARGEST_SHIPPED: [(&str, usize); 4] =
     [("linux64", 1_640_000), ("win64", 1_710_000), ("aarch64-linux", 1_340_000), ("darwin64", 3_080_000)];
 
 /// Size limit of a library by the Rust in use. Its standard library is optimised for speed and prints backtraces, some 240 kB.
-const LARGEST_HERE: usize = 1_900_000;
+const LARGEST_HERE: usize = 1_930_000;
 
 /// Largest stack frame of a function, bytes, in a library for x86-64, as found by [`largest_frame`]: the reader of a stored estimate with
 /// learning, and a page more because compilers differ. `docs/fmi.md` states the stack that a host must provide.
