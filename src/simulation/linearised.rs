@@ -271,7 +271,7 @@ mod tests {
         let lengths = Scene::by_lengths(&here, &at, &none, &alpha).expect("lengths are learned");
         let offsets = Scene::by_offsets(&here, &at, &none).expect("servos");
         let (h, least, frame) = (2e-3, 4, linkage.frame(&at.theta));
-        let moved = flow::<LEARNED>(&linkage, &here, (&at, &frame), &none, (h, least));
+        let moved = flow::<LEARNED>(&linkage, &here, &at, &frame, &none, h, least);
         let links = frame.links_by_geometry();
         let (readings, tip) = (frame.readings_by_geometry(), frame.tip_by_geometry());
         for i in 0..LEARNED {
