@@ -99,7 +99,7 @@ fn transitions_are_differences() {
         let linkage = Linkage::new(&simulation.model().mechanism.geometry);
         let frame = linkage.frame(&state.theta);
         let (h, least) = (2e-3, 4);
-        let flow = flow::<0>(&linkage, &scene, (&state, &frame), &Links::zeros(), (h, least));
+        let flow = flow::<0>(&linkage, &scene, &state, &frame, &Links::zeros(), h, least);
         let units = unit_forces(&linkage, &frame);
         let moved = |k: usize, by: f64| {
             let error: [f64; 6] = std::array::from_fn(|i| if i == k { by } else { 0.0 });
