@@ -50,7 +50,8 @@ struct Content {
     clock: Option<Clock>,
     /// Parameters in force that differ from their start values.
     values: Values,
-    run: Option<Run>,
+    /// Boxed: a state is moved several times while it is read, which bounds the stack of a call.
+    run: Option<Box<Run>>,
     signal: Signal,
     /// Parameters set by the master that differ from the parameters in force, if [`Snapshot::is_tuned`].
     tuned: Option<Values>,
@@ -86,7 +87,7 @@ impl Snapshot {
             kind: self.kind,
             clock: self.clock.clone(),
             values: changed(in_force, |variable, _| variable.start),
-            run: simulation.map(|simulation| simulation.run().clone()),
+            run: simulation.map(|simulation| Box::new(simulation.run().clone())),
             signal: self.signal,
             tuned: self.is_tuned.then(|| changed(&self.parameters, |_, id| Some(bindings::parameter(in_force, id).value()))),
             warned: self.warned,
@@ -124,9 +125,9 @@ impl Snapshot {
             ) if stage.belongs_to(kind) && run.is_model_exchange() == (kind == Kind::ModelExchange) => {
                 let refusal = |error: SceneError| not_a_state(&error.to_string());
                 match (parameters.estimator.enabled, estimate) {
-                    (false, None) => Some(Scene::Ready(boxed(|| Simulation::restored(&parameters, run)).map_err(refusal)?)),
+                    (false, None) => Some(Scene::Ready(boxed(|| Simulation::restored(&parameters, *run)).map_err(refusal)?)),
                     (true, Some(estimate)) => {
-                        let following = boxed(|| Following::restored(&parameters, run, estimate));
+                        let following = boxed(|| Following::restored(&parameters, *run, estimate));
                         Some(Scene::Following(following.map_err(refusal)?))
                     }
                     (false, Some(_)) => return Err(not_a_state("they contain an estimate, but estimator.enabled is false")),
