@@ -236,7 +236,7 @@ def test_the_clock_of_a_bag_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixt
     assert imported(tmp_path, bag, given=write_map(tmp_path, t1=a)).begins == (200,)
     record = ["-o", str(tmp_path / "record.csv")]
     assert main(["import", str(bag), "--map", str(write_map(tmp_path, t1=a, t2=b)), *record]) == 2
-    assert "/a by the clock stamp falls back at 50.995 s, so that" in capsys.readouterr().err
+    assert "/a by the clock stamp falls back at 50.995 s, so several topics" in capsys.readouterr().err
     found = imported(tmp_path, bag, given=write_map(tmp_path, time={"column": "received"}, t1=a, t2=b))
     assert (
         found.time == pytest.approx(GRID, abs=ROUND) and found.columns["measured.theta[2]"].tolist() == RIGHT.tolist()
