@@ -33,6 +33,15 @@ impl Stored {
     pub(crate) const NONE: Self = Self(null_mut());
 }
 
+/// Callbacks of a master that has none.
+pub(crate) const NO_CALLBACKS: fmi2CallbackFunctions = fmi2CallbackFunctions {
+    logger: None,
+    allocateMemory: None,
+    freeMemory: None,
+    stepFinished: None,
+    componentEnvironment: null_mut(),
+};
+
 /// An instance ready to step from 0 s; freed when dropped.
 pub(crate) struct Host {
     component: fmi2Component,
@@ -43,16 +52,9 @@ impl Host {
     /// An instance after fmi2ExitInitializationMode, with variables set by reference.
     pub(crate) fn ready(values: &[(u32, Value)]) -> Result<Self> {
         let (name, guid) = (c"bench", CString::new(GUID)?);
-        let callbacks = fmi2CallbackFunctions {
-            logger: None,
-            allocateMemory: None,
-            freeMemory: None,
-            stepFinished: None,
-            componentEnvironment: null_mut(),
-        };
         // SAFETY: all pointers outlive the call; there are no callbacks.
         let component =
-            unsafe { fmi2Instantiate(name.as_ptr(), fmi2CoSimulation, guid.as_ptr(), null(), &callbacks, fmi2False, fmi2False) };
+            unsafe { fmi2Instantiate(name.as_ptr(), fmi2CoSimulation, guid.as_ptr(), null(), &NO_CALLBACKS, fmi2False, fmi2False) };
         ensure!(!component.is_null(), "fmi2Instantiate gave null");
         let host = Self { component, point: 0.0 };
         host.begin();

@@ -8,13 +8,15 @@ use std::env::consts::DLL_EXTENSION;
 use std::ffi::CString;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::ptr::{null, null_mut};
+use std::ptr::null;
 
 use anyhow::{Context, Result, ensure};
 use fivebar::ffi::*;
 use libloading::Library;
 use roxmltree::Document;
 use scenes::Value;
+
+use crate::host::NO_CALLBACKS;
 
 type SetNumbers<T> = unsafe extern "C" fn(fmi2Component, *const fmi2ValueReference, size_t, *const T) -> fmi2Status;
 type Plain = unsafe extern "C" fn(fmi2Component) -> fmi2Status;
@@ -91,16 +93,10 @@ impl Loaded {
 
     /// An instance after fmi2ExitInitializationMode, with variables set by reference.
     pub(crate) fn ready(&self, values: &[(fmi2ValueReference, Value)]) -> Result<Guest<'_>> {
-        let callbacks = fmi2CallbackFunctions {
-            logger: None,
-            allocateMemory: None,
-            freeMemory: None,
-            stepFinished: None,
-            componentEnvironment: null_mut(),
-        };
         let (instantiate, guid) = (self.functions.instantiate, self.guid.as_ptr());
         // SAFETY: all pointers outlive the call; there are no callbacks.
-        let component = unsafe { instantiate(c"pair".as_ptr(), fmi2CoSimulation, guid, null(), &callbacks, fmi2False, fmi2False) };
+        let component =
+            unsafe { instantiate(c"pair".as_ptr(), fmi2CoSimulation, guid, null(), &NO_CALLBACKS, fmi2False, fmi2False) };
         ensure!(!component.is_null(), "fmi2Instantiate gave null");
         let mut guest = Guest { functions: &self.functions, component, point: 0.0 };
         guest.initialise(values)?;
