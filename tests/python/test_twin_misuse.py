@@ -288,6 +288,19 @@ def test_a_run_with_only_refused_samples_says_so(
     twin.follower.close()
 
 
+def test_copies_of_overlapping_subscriptions_are_not_refused(config: Config, library: Library) -> None:
+    """A twin whose machine starts late listens to all units as well: a broker then sends the first samples twice."""
+    twin = Twin(config, library)
+    twin.tick(BEGIN - 10**10)
+    twin.tick(BEGIN)
+    assert twin.hears_others
+    taken = [encode(m) for m in samples(config, library, 40)]
+    copies = [taken[k + j] for k in range(0, 10, 2) for j in (0, 1, 0, 1)]
+    assert not sent(twin, copies + taken[10:])
+    assert twin.refused == 0 and twin.counts["estimated"] == 40
+    twin.follower.close()
+
+
 def test_a_few_refused_samples_are_no_trouble(config: Config, library: Library) -> None:
     """The first samples of a machine with another clock are refused; later each sample comes twice, with a malformed message."""
     twin = Twin(config, library)

@@ -3,6 +3,7 @@
 import json
 import logging
 import math
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -24,6 +25,9 @@ MUCH: Final = 4 * math.pi
 
 ALONE: Final = 2_000_000_000
 """Time without a sample of this unit, ns. After it, the process also listens to other units: the machine may have another name."""
+
+COPIES: Final = 64
+"""Number of samples among which a copy is recognised: more than a slow broker delivers late."""
 
 AT_BOUND: Final = "has been moved to its bound"
 """Part of the FMU's warning that a learned value has reached its bound: the scene does not match the machine."""
@@ -51,7 +55,9 @@ class Twin(Worker):
         self.waits_since: int | None = None
         """Time at which the wait for the first sample of this unit began, ns."""
         self.heard, self.hears_others = False, False
-        """Whether a sample of this unit has arrived, and whether the process listens to other units."""
+        """Whether a sample of this unit has arrived, and whether the process has listened to other units."""
+        self.recent: deque[bytes] = deque(maxlen=COPIES)
+        """The last samples of this unit since the process listened to other units."""
         self.stored_at = -1
 
     def begin(self) -> None:
@@ -74,6 +80,11 @@ class Twin(Worker):
             self.heard, self.refusals = True, Refusals()
             if self.hears_others:
                 self.hear_others(False)
+        if self.hears_others and topic == self.own:
+            if payload in self.recent:
+                # The broker may send a message once for each of two subscriptions that overlap (MQTT 3.1.1, 3.3.5).
+                return
+            self.recent.append(payload)
         super().received(topic, payload, now)
 
     def refuse(self, topic: str, error: Refused, now: int) -> None:
