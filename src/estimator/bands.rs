@@ -28,6 +28,15 @@ const WIDEST: f64 = 2.5;
 const BISECTIONS: usize = 30;
 
 impl Estimator {
+    /// The belief about the motion, with the errors by commands that are unknown.
+    fn with_commands(&self) -> Belief {
+        let mut belief = self.filter.belief;
+        if let Some(covariance) = self.forecast.by_commands() {
+            belief.bank.add(covariance);
+        }
+        belief
+    }
+
     /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion. While the assembly of the start is in
     /// doubt, both assemblies have equal weight.
     pub fn sigmas(&self, machine: &Machine, motion: &LinkState) -> [Links; 2] {
@@ -39,7 +48,8 @@ impl Estimator {
             let added = mixed(&known.belief.bank, &added);
             [Links::from_fn(|i, _| (angles[i] * angles[i] + added[(i, i)]).max(0.0).sqrt()), rates]
         };
-        let known = own(motion, self.filter.known(), Some(&self.forecast));
+        let belief = self.with_commands();
+        let known = own(motion, Known { belief: &belief, ..self.filter.known() }, Some(&self.forecast));
         let Some(other) = self.doubt.other() else { return known };
         let off = [(other.motion.theta - motion.theta).map(wrapped), other.motion.omega - motion.omega];
         let beside = own(&other.motion, Known::of(&other.belief), None);
@@ -53,7 +63,7 @@ impl Estimator {
         let angles = frame.basis.tr_mul(&(truth.theta - motion.theta).map(wrapped));
         let rates = frame.basis.tr_mul(&(truth.omega - motion.omega));
         let error = Vector4::new(angles[0], angles[1], rates[0], rates[1]);
-        let covariance = self.filter.belief.bank.covariance().fixed_view::<4, 4>(0, 0).into_owned();
+        let covariance = self.with_commands().bank.covariance().fixed_view::<4, 4>(0, 0).into_owned();
         covariance.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error)))
     }
 
@@ -62,7 +72,7 @@ impl Estimator {
         let of_models = |motion: &LinkState, known: Known| -> Matrix2<f64> {
             tip_of_models(machine, motion, known).iter().map(|(weight, about)| about * *weight).sum()
         };
-        let by_models = || of_models(motion, self.filter.known());
+        let by_models = || of_models(motion, Known { belief: &self.with_commands(), ..self.filter.known() });
         let by_points = self.forecast.tip_covariance(motion, &machine.linkage).map(|about| {
             let frame = machine.linkage.frame(&motion.theta);
             let added = tip_by_geometry(machine, (motion, &frame), self.filter.known());
@@ -90,7 +100,7 @@ impl Estimator {
         let beside = |other: &Alternative| {
             tip_apart(machine, motion, &other.motion).norm() + radius(&other.motion, Known::of(&other.belief))
         };
-        let own = radius(motion, self.filter.known());
+        let own = radius(motion, Known { belief: &self.with_commands(), ..self.filter.known() });
         own.max(self.doubt.other().map_or(0.0, beside)).min(machine.linkage.widest_reach())
     }
 

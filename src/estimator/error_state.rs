@@ -157,7 +157,11 @@ pub(super) fn reduce_in_part<const N: usize>(
 
 /// Bounds the variances of angles, rad², and of rates, rad²/s², in unobserved directions; correlations stay. Larger variances would take
 /// digits from small ones. `also` gets the index and the factor of each error that is scaled.
-pub(super) fn bound_variances(covariance: &mut Matrix, largest: [f64; 2], mut also: impl FnMut(usize, f64)) {
+pub(super) fn bound_variances<const N: usize>(
+    covariance: &mut SMatrix<f64, N, N>,
+    largest: [f64; 2],
+    mut also: impl FnMut(usize, f64),
+) {
     for i in 0..FORCE {
         let (variance, most) = (covariance[(i, i)], largest[i / 2]);
         if variance > most {

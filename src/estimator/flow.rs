@@ -46,6 +46,9 @@ pub trait Scene {
     /// ∂α/∂(mounting angles of the encoders), because servos close their loops on the encoders; `None` without servos.
     fn by_offsets(&self, at: &LinkState, force: &Links) -> Option<Matrix4x2<f64>>;
 
+    /// Time by which servo references act late, s.
+    fn command_delay(&self) -> f64;
+
     /// Mass matrix M in the link angles, kg·m².
     fn mass(&self, theta: &Links) -> Matrix4<f64>;
 

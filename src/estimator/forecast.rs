@@ -120,17 +120,19 @@ fn root<const N: usize>(p: nalgebra::SMatrix<f64, N, N>) -> nalgebra::SMatrix<f6
 }
 
 impl Forecast {
-    /// Ends the forecast: samples have arrived.
-    pub(super) fn end(&mut self) {
-        (self.sigma_points, self.commands) = (None, None);
+    /// Ends the forecast: samples have arrived. Returns the covariance of the errors of angles and rates by commands that were unknown.
+    pub(super) fn end(&mut self) -> Option<Matrix4<f64>> {
+        std::mem::take(self).commands.map(|unknown| *unknown.covariance())
     }
 
-    /// Commands are unknown during a step; before the first one, they had been for `since` seconds. Returns the covariance that the step
-    /// adds to the errors of the motion.
-    pub(super) fn forget_commands<S: Scene>(&mut self, parameters: &Parameters, step: &Step<'_, S>, since: f64) -> Matrix4<f64> {
-        let (unknown, added) = Unknown::after(self.commands, parameters, step, since);
-        self.commands = Some(unknown);
-        added
+    /// Covariance of the errors of angles and rates by commands that are, or were, unknown.
+    pub(super) fn by_commands(&self) -> Option<&Matrix4<f64>> {
+        self.commands.as_ref().map(Unknown::covariance)
+    }
+
+    /// Time update of the errors by commands; see [`Unknown::after`].
+    pub(super) fn step_commands<S: Scene>(&mut self, parameters: &Parameters, step: &Step<'_, S>, unknown: (bool, f64)) {
+        self.commands = Some(Unknown::after(self.commands, parameters, step, unknown));
     }
 
     /// Time update of the sigma points, before the time update of the estimate.
@@ -155,10 +157,10 @@ impl Forecast {
             (squares / POINTS as f64 + by_commands).map(f64::sqrt)
         };
         let by_commands = |first: usize| {
-            let variances = |unknown: &Unknown| {
-                (frame.basis * unknown.covariance().fixed_view::<2, 2>(first, first) * frame.basis.transpose()).diagonal()
+            let variances = |covariance: &Matrix4<f64>| {
+                (frame.basis * covariance.fixed_view::<2, 2>(first, first) * frame.basis.transpose()).diagonal()
             };
-            self.commands.as_ref().map_or_else(Links::zeros, variances)
+            self.by_commands().map_or_else(Links::zeros, variances)
         };
         let angles = root_mean(&|at| (at.theta - motion.theta).map(wrapped), by_commands(0));
         Some([angles, root_mean(&|at| at.omega - motion.omega, by_commands(2))])
@@ -173,11 +175,11 @@ impl Forecast {
             off * off.transpose()
         });
         let about = squares.sum::<Matrix2<f64>>() / POINTS as f64;
-        let by_commands = |unknown: &Unknown| {
+        let by_commands = |covariance: &Matrix4<f64>| {
             let tip = linkage.frame(&motion.theta).tip();
-            about + tip * unknown.covariance().fixed_view::<2, 2>(0, 0) * tip.transpose()
+            about + tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose()
         };
-        Some(self.commands.as_ref().map_or(about, by_commands))
+        Some(self.by_commands().map_or(about, by_commands))
     }
 
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {

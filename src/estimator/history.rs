@@ -13,7 +13,7 @@ use super::tangent::{Frame, LinkState, MEASURED, wrapped};
 use super::tuning::{LARGEST_INVERSE, LEAST_TURN};
 use crate::copies::clone_by_fields;
 
-/// Number of macro steps in the history.
+/// Number of entries of the history. Entries are so far apart that they reach back to the largest age, however short the steps are.
 pub const REMEMBERED: usize = 64;
 
 /// Estimated angle of an encoder's axis at a past instant.
@@ -64,7 +64,9 @@ impl History {
         while self.past.len() > 1 && self.past[1].age + h > max_age || self.past.is_full() {
             self.past.remove(0);
         }
-        self.past.push(Past::present(motion, frame));
+        if self.past.last().is_none_or(|last| last.age >= max_age / (REMEMBERED - 2) as f64) {
+            self.past.push(Past::present(motion, frame));
+        }
         for past in &mut self.past {
             past.age += h;
             for axis in &mut past.axes {

@@ -97,8 +97,7 @@ impl Parameters {
                 self.max_delay
             )));
         }
-        // Each entry of the history is a macro step. If the communication step is no multiple of h, macro steps are shorter than h. If
-        // communication steps are shorter than h/2, the history does not reach back to maxDelay, and older samples are late.
+        // With this limit, two entries of the history are hardly further apart than a macro step, so interpolation is as exact as a step.
         let most = (REMEMBERED / 2 - 1) as f64 * step_size;
         if self.max_delay > most {
             return Err(SceneError(format!(

@@ -212,7 +212,7 @@ impl Estimator {
         if residuals.iter().all(|residual| residual.accepted().is_none()) {
             return switched.then_some(estimate.motion);
         }
-        self.forecast.end();
+        self.end_forecast();
         self.inject(machine, &mut estimate);
         self.judge_motions(machine, &mut estimate, &residuals);
         self.judge_force(machine, &estimate, &residuals);
@@ -232,9 +232,16 @@ impl Estimator {
         let measurements = [receive(0), receive(1)];
         // Samples of trusted encoders end a forecast even if their values cannot be used.
         if !self.is_coasting() {
-            self.forecast.end();
+            self.end_forecast();
         }
         measurements
+    }
+
+    /// Ends a forecast. From then on, the errors by commands that were unknown are errors of the estimate.
+    fn end_forecast(&mut self) {
+        if let Some(by_commands) = self.forecast.end() {
+            self.filter.belief.bank.add(&by_commands);
+        }
     }
 
     /// If several hypotheses are open after a vertex, the first samples may select one before any of them is corrected. Returns whether a
@@ -530,7 +537,8 @@ impl Estimator {
         }
         match kind {
             // The machine may be anywhere, and sigma points do not close the loop of restarted lengths.
-            Runaway | Adrift => forecast.end(),
+            // The new covariance contains any motion.
+            Runaway | Adrift => *forecast = Forecast::default(),
             Branch | Assembly(_) | Samples { .. } | Unclosed | Repetition(..) => (),
         }
     }
@@ -651,7 +659,7 @@ impl Estimator {
         }
         let (mass, force) = (&step.mass, self.filter.belief.force);
         let by_commands = commands::Step { scene, motion: from, frame: &frame, mass, force: &force, transition: &step.f, h };
-        self.forget_commands(machine, &by_commands);
+        self.step_commands(machine, &by_commands);
         for (i, unaided) in self.unaided.iter_mut().enumerate() {
             unaided.predict((&step, &noise), [scale, observable], timing, &self.encoders[1 - i]);
         }
@@ -672,16 +680,16 @@ impl Estimator {
         self.alarm.step(h, inertia);
     }
 
-    /// While no samples arrive, commands are unknown, too: adds the effect of their changes over a step.
-    fn forget_commands<S: Scene>(&mut self, machine: &Machine, step: &commands::Step<'_, S>) {
-        if self.adrift || !commands::may_change(&machine.parameters) || !self.encoders.iter().all(Encoder::is_silent) {
+    /// Time update of the errors by commands: while no samples arrive, commands are unknown, too.
+    fn step_commands<S: Scene>(&mut self, machine: &Machine, step: &commands::Step<'_, S>) {
+        let unknown = commands::may_change(&machine.parameters) && self.encoders.iter().all(Encoder::is_silent);
+        if self.adrift || !unknown && self.forecast.by_commands().is_none() {
             return;
         }
         // Before the first sample, commands have been known until now.
         let since = self.encoders.iter().map(Encoder::time_since_sample).fold(f64::INFINITY, f64::min);
         let since = if since < f64::INFINITY { since } else { 0.0 };
-        let added = self.forecast.forget_commands(&machine.parameters, step, since);
-        self.filter.belief.bank.add(&added);
+        self.forecast.step_commands(&machine.parameters, step, (unknown, since));
     }
 
     /// Whether the quantisation interval of an encoder contains more information than white noise.

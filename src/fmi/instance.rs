@@ -261,7 +261,8 @@ impl Instance {
         let (model, following) = (simulation.model(), scene.following());
         let observation = observation.get_or_insert_with(|| {
             let inputs = &now.signal.value;
-            Observation::new(model, following.map_or_else(|| simulation.state_for(inputs), |following| following.state_for(inputs)))
+            let state = following.map_or_else(|| simulation.state_for(inputs), |following| following.state_for(inputs));
+            Observation::new(model, state, inputs)
         });
         Ok(Observed::new(model, observation).with_estimates(following))
     }

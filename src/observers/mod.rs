@@ -9,6 +9,7 @@ use std::cell::OnceCell;
 
 use nalgebra::Vector2;
 
+use crate::effects::Inputs;
 use crate::mechanism::Pose;
 use crate::simulation::{Following, Model, State};
 
@@ -20,6 +21,8 @@ pub use observed::{INDICATORS, Observed, Point};
 pub struct Observation {
     state: State,
     pose: Pose,
+    /// Inputs that the master has set.
+    inputs: Inputs,
     /// Kinetic and potential energy, J.
     energies: OnceCell<[f64; 2]>,
     /// Smallest singular value of Φ_q, the most expensive output.
@@ -39,18 +42,17 @@ pub struct Estimated<'a> {
 impl Estimated<'_> {
     /// Probability of a direct singularity within the horizon if the current inputs stay constant.
     pub fn singularity_probability(&self) -> f64 {
-        *self
-            .observation
-            .singularity_probability
-            .get_or_init(|| self.following.singularity_probability(&self.observation.state.inputs))
+        let Observation { singularity_probability, inputs, .. } = self.observation;
+        *singularity_probability.get_or_init(|| self.following.singularity_probability(inputs))
     }
 }
 
 impl Observation {
-    /// Creates the observation of a state, with an empty cache.
-    pub fn new(model: &Model, state: State) -> Self {
+    /// Creates the observation of a state, with an empty cache. `inputs` are those that the master has set; the inputs of the state act.
+    pub fn new(model: &Model, state: State, inputs: &Inputs) -> Self {
         let pose = model.mechanism.pose(&state.core.q);
-        Self { state, pose, energies: OnceCell::new(), sigma_phi: OnceCell::new(), singularity_probability: OnceCell::new() }
+        let (energies, sigma_phi, singularity_probability) = Default::default();
+        Self { state, pose, inputs: *inputs, energies, sigma_phi, singularity_probability }
     }
 
     /// The observed state.
@@ -116,7 +118,7 @@ pub struct ConstraintNorms {
 
 /// Evaluates an observer at a state without a cache.
 fn at<T>(model: &Model, state: &State, observe: impl FnOnce(Observed<'_, f64>) -> T) -> T {
-    observe(Observed::new(model, &Observation::new(model, *state)))
+    observe(Observed::new(model, &Observation::new(model, *state, &state.inputs)))
 }
 
 /// Angles, points and their time derivatives.

@@ -176,7 +176,10 @@ impl Following {
     /// to true angles.
     fn acting(&self, inputs: &Inputs, later: f64) -> Inputs {
         let (estimator, Simulation { model, run, .. }) = (&self.estimate.estimator, &self.simulation);
-        let inputs = run.commands.as_ref().map_or(*inputs, |commands| commands.acting(inputs, later));
+        let inputs = match run.commands.as_ref().zip(Delay::of(model)) {
+            None => *inputs,
+            Some((commands, delay)) => commands.expected(delay, inputs, later),
+        };
         with_unknown_force(&by_true_angles(model, &inputs, estimator.learned().as_ref()), &estimator.belief().force)
     }
 
@@ -256,17 +259,13 @@ impl Following {
         self.estimate.estimator.tip_radius(&self.believed, &self.motion())
     }
 
-    /// Probability of a direct singularity within the horizon if the inputs stay at `held`, plus the unknown force: see
-    /// [`state_for`](Self::state_for). Commands that wait for `servo.delay` act at their times.
-    pub fn singularity_probability(&self, held: &Inputs) -> f64 {
-        let Simulation { model, run, parameters } = &self.simulation;
-        let learned = self.estimate.estimator.learned();
+    /// Probability of a direct singularity within the horizon if the master leaves its inputs at `inputs`, plus the unknown force. Commands
+    /// that wait for `servo.delay` act at their times.
+    pub fn singularity_probability(&self, inputs: &Inputs) -> f64 {
+        let (Simulation { model, run, parameters }, now) = (&self.simulation, self.acting(inputs, 0.0));
         let scene = |later: f64| {
-            let inputs = match &run.commands {
-                None => *held,
-                Some(commands) => by_true_angles(model, &commands.acting(held, later), learned.as_ref()),
-            };
-            FollowedScene { model, inputs, before: held, turns: &run.turns, learned: None }
+            let inputs = if run.commands.is_some() { self.acting(inputs, later) } else { now };
+            FollowedScene { model, inputs, before: &now, turns: &run.turns, learned: None }
         };
         let step = parameters.settings.step_size;
         self.estimate.estimator.singularity_probability(&self.believed, &self.motion(), scene, step)

@@ -195,6 +195,10 @@ impl Scene for FollowedScene<'_> {
         })
     }
 
+    fn command_delay(&self) -> f64 {
+        self.model.command_delay
+    }
+
     fn mass(&self, theta: &Links) -> Matrix4<f64> {
         let pose = self.model.mechanism.pose_at(by_legs((*theta).into()));
         columns(&std::array::from_fn(|i| self.model.inertia.mass_times(&pose, &Angles::unit(i))))

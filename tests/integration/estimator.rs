@@ -834,6 +834,24 @@ fn a_sample_ends_a_forecast() {
     assert!(left < 1.5e-3, "{left}");
 }
 
+/// Samples as old as `estimator.maxDelay` allows are used, however short the steps between the samples are.
+#[test]
+fn the_history_reaches_back_with_short_steps() {
+    let mut parameters = followed(Method::Dop853);
+    (parameters.estimator.max_delay, parameters.effects.gravity.enabled) = (30e-3, false);
+    for step in [1e-3, 0.3e-3, 0.05e-3] {
+        let mut following = Following::new(&parameters, &default_inputs()).expect("a scene");
+        for k in 0..(0.1_f64 / step).round() as u32 {
+            let time = f64::from(k) * step;
+            if time > 0.06 {
+                following.correct(&Measured { theta: parameters.start.theta, time: [time - 29e-3; 2] }, time);
+                assert!(!matches!(following.status(), Status::Faulty(_)), "steps of {step} s: {:?}", following.status());
+            }
+            following.advance_along(&Signal::held(default_inputs()), step, 1).expect("a step");
+        }
+    }
+}
+
 /// Late samples correct the estimate almost as well as immediate ones.
 #[test]
 fn delay_is_accounted_for() {
@@ -904,6 +922,10 @@ impl Scene for Turning<'_> {
 
     fn by_offsets(&self, _: &LinkState, _: &Links) -> Option<Matrix4x2<f64>> {
         None
+    }
+
+    fn command_delay(&self) -> f64 {
+        0.0
     }
 
     fn mass(&self, _: &Links) -> Matrix4<f64> {

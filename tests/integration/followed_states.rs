@@ -94,6 +94,9 @@ impl Random {
         if self.is(0.3) {
             estimator.forecast = Bands::SigmaPoints;
         }
+        if self.is(0.3) {
+            (estimator.command_scale_tau, estimator.command_scale_theta) = ([self.power_of_ten(-4.0, 0.0); 2], [0.1; 2]);
+        }
         parameters
     }
 }

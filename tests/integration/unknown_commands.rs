@@ -20,6 +20,8 @@ const SHARES: [(f64, f64); 2] = [(0.9, 1.644_854), (0.95, 1.959_964)];
 enum What {
     Torques,
     References,
+    /// References that act 50 ms late.
+    LateReferences,
 }
 
 /// A normal random number (Box and Muller).
@@ -97,9 +99,10 @@ fn errors(parameters: &Parameters, mut walk: Walk, period: u32, random: &mut Cha
 fn coverage(what: What, (bands, period): (Bands, u32), known: bool) -> [[f64; 2]; 2] {
     let (scales, servo) = match what {
         What::Torques => ([[2e-3, 1e-3], [0.0; 2]], false),
-        What::References => ([[0.0; 2], [0.03, 0.02]], true),
+        What::References | What::LateReferences => ([[0.0; 2], [0.03, 0.02]], true),
     };
     let mut parameters = machine(period);
+    parameters.effects.servo.delay = if matches!(what, What::LateReferences) { 0.05 } else { 0.0 };
     parameters.effects.servo.enabled = servo;
     (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([0.5; 2], [0.03; 2]);
     parameters.estimator.forecast = bands;
@@ -131,6 +134,7 @@ fn bands_cover_commands_that_change() {
         (What::References, Bands::Linear, 1),
         (What::References, Bands::Linear, 10),
         (What::References, Bands::SigmaPoints, 1),
+        (What::LateReferences, Bands::Linear, 1),
     ] {
         let found = coverage(what, (bands, period), false);
         for (counted, (share, _)) in found.iter().flat_map(|found| found.iter().zip(SHARES)) {
@@ -183,4 +187,68 @@ fn unknown_commands_change_no_estimate() {
             assert!(wide[link] > 1.1 * narrow[link], "{wide:?} {narrow:?}");
         }
     }
+}
+
+/// A machine that swings without friction, followed for 0.2 s and then silent; both kinds of commands are unknown.
+fn silent(bands: Bands, step: f64) -> Following {
+    let mut parameters = machine(1);
+    parameters.effects.gravity.enabled = true;
+    parameters.effects.servo.enabled = true;
+    (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([0.01; 2], [0.0; 2]);
+    parameters.settings.step_size = step;
+    let own = &mut parameters.estimator;
+    (own.forecast, own.command_scale_tau, own.command_scale_theta) = (bands, [2e-3, 1e-3], [0.03, 0.02]);
+    let inputs = Inputs { servo_theta: parameters.start.theta, ..default_inputs() };
+    let mut truth = Simulation::new(&parameters, &inputs).expect("a machine");
+    let mut following = Following::new(&parameters, &inputs).expect("a scene");
+    for k in 0..(0.2 / step).round() as u32 {
+        let time = f64::from(k) * step;
+        following.correct(&Measured { theta: MEASURED.map(|link| truth.state().angles()[link]), time: [time; 2] }, time);
+        following.advance_along(&Signal::held(inputs), step, 1).expect("a step");
+        truth.advance(&inputs, step, 1).expect("a step");
+    }
+    following
+}
+
+/// A stored state of a silent twin is restored after each step: the covariances with the errors by commands are symmetric to the bit.
+#[test]
+fn states_with_unknown_commands_are_restored() {
+    for bands in [Bands::Linear, Bands::SigmaPoints] {
+        let mut following = silent(bands, H);
+        for step in 0..300 {
+            following.advance_along(&Signal::held(default_inputs()), H, 1).expect("a step");
+            let (run, estimate) = (following.simulation().run().clone(), Box::new(following.estimate().clone()));
+            let restored = Following::restored(following.parameters(), run, estimate);
+            assert!(restored.is_ok(), "{bands:?}, step {step}: {restored:?}");
+        }
+    }
+}
+
+/// A swing diverges by e-fold in less than a second; after 200 s of silence the bands are still finite, and the state is possible.
+#[test]
+fn bands_of_a_long_silence_are_finite() {
+    for bands in [Bands::Linear, Bands::SigmaPoints] {
+        let mut following = silent(bands, 5e-3);
+        following.advance_along(&Signal::held(default_inputs()), 5e-3, 40_000).expect("steps");
+        let [angles, rates] = following.sigmas();
+        assert!(angles.iter().chain(&rates).chain(&following.tip_covariance()).all(|x| x.is_finite()), "{angles:?} {rates:?}");
+        let (run, estimate) = (following.simulation().run().clone(), Box::new(following.estimate().clone()));
+        assert!(Following::restored(following.parameters(), run, estimate).is_ok(), "{bands:?}");
+    }
+}
+
+/// Commands that become known during a silence leave errors of the motion that grow with its rates.
+#[test]
+fn errors_by_commands_that_were_unknown_stay() {
+    let mut following = silent(Bands::SigmaPoints, H);
+    let silence = |following: &mut Following, steps: u64| {
+        following.advance_along(&Signal::held(default_inputs()), H, steps).expect("steps");
+        following.sigmas()[0][MEASURED[0]]
+    };
+    let begin = silence(&mut following, 100);
+    let (effects, mut own) = (following.parameters().effects.clone(), following.parameters().estimator.clone());
+    [own.command_scale_tau, own.command_scale_theta] = [[0.0; 2]; 2];
+    following.tune(&effects, &own).expect("tunable parameters");
+    let end = silence(&mut following, 100);
+    assert!(end > 1.5 * begin, "{begin} {end}");
 }

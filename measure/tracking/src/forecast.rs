@@ -58,7 +58,7 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
     }
     // Future inputs are known only if they are constant, as from here on.
     let held = inputs(steps);
-    let probability = twin.singularity_probability(&twin.state_for(&held).inputs);
+    let probability = twin.singularity_probability(&held);
     let start = side(&motion(&machine.state()).0);
     let of_members = ensemble(&twin, &scenario, &held, members, random);
     let (mut inside, mut meets, mut next) = ([false; 3], false, 0);
