@@ -176,8 +176,8 @@ impl Weight {
 }
 
 /// The two equations that constrain the motion: the closure of the tip, or the branch of the closure on which the motion stays. Functions
-/// that depend on them are compiled twice: with `MIRRORED` for branches with mirrored pairs, whose rows depend on the direction of the
-/// axis, and without it for all others.
+/// that use these equations are compiled twice: with `MIRRORED` for branches with mirrored pairs, because their rows depend on the
+/// direction of the mirror axis, and without it for all others.
 #[derive(Clone, Copy, Debug)]
 pub struct Closure {
     /// Signed link lengths in Φ_q, m; 0 on a closure branch with opposite pairs.

@@ -53,7 +53,8 @@ impl Servo {
     fn relative_torques(&self, joints: &JointMotion) -> [f64; 2] {
         let JointMotion { angles, moved, rates, inputs, .. } = joints;
         let requested = [0, 1].map(|i| {
-            // The difference is computed first: near the reference it is exact, and finer than the round-off of the angle.
+            // Reference minus angle is computed first. It is exact near the reference, so an increment `moved` below the round-off of the
+            // angle still counts.
             let angle = self.kp[i] * ((inputs.servo_theta[i] - angles[i]) - moved[i]);
             let rate = self.kd[i] * (inputs.servo_omega[i] - rates[MOTOR_ANGLES[i]]);
             (angle + rate) / (joints.softening * self.limit[i])

@@ -136,7 +136,7 @@ fn past_end(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     let start = if left <= 0.0 {
         "at stopTime".to_owned()
     } else if left <= tolerance(stop, size) {
-        format!("{left:.1e} s before stopTime, which is rounding: the run has reached its end")
+        format!("{left:.1e} s before stopTime, a difference within rounding: the run has already reached its end")
     } else {
         format!("{left:?} s before stopTime")
     };
@@ -276,7 +276,7 @@ mod tests {
         assert_eq!(
             refused.message,
             "currentCommunicationPoint + communicationStepSize is 10.009999999999831 s, which is past stopTime 10.0 s; the step starts \
-             1.7e-13 s before stopTime, which is rounding: the run has reached its end."
+             1.7e-13 s before stopTime, a difference within rounding: the run has already reached its end."
         );
         let mut clock = Clock::new(0.0, Some(1.0)).expect("a clock");
         clock.advance(clock.plan(0.0, 1.0, H).expect("a step"));

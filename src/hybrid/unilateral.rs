@@ -79,7 +79,8 @@ impl Piecewise for UnilateralSpring {
 }
 
 impl UnilateralSpring {
-    /// Border at which the push without ramp, as a distance, passes 0: upwards for `sign` 1, downwards for −1.
+    /// Border at which the push without ramp, k d + c ḋ, rises through 0 (`sign` 1) or falls through 0 (`sign` −1). Its value is scaled to
+    /// a distance.
     fn push_border(&self, sign: f64, next: Phase) -> Border {
         Border { offset: 0.0, by_x: sign * self.stiffness, by_rate: sign * self.damping, scale: self.push_scale(), next }
     }

@@ -197,8 +197,8 @@ impl<'a, S: MeanSlopes> OpenStep<'a, S> {
         OpenMotion { secant, x, half, velocity_defect, moment_change: minus(self.initial_moment, turning), ends, gap, rate }
     }
 
-    /// Slopes k K + c C of the mean forces for weights [k, c], as moments of inertia of each leg, kg·m². Rows (proximal, distal) are
-    /// momenta; columns are Δθ, with ω̂ changing by the same amount.
+    /// Weighted stiffness and damping k K + c C of the mean forces for weights [k, c], per leg, kg·m². Rows: angle equations of the
+    /// proximal and the distal link. Columns: Δθ of these links, if ω̂ changes by the same amount.
     #[inline(always)]
     fn inertias_of(&self, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm, weights: [f64; 2]) -> [[Legs; 2]; 2] {
         if !slopes.couple_links() {
@@ -296,7 +296,7 @@ impl<S: MeanSlopes> CutStep<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS> for OpenStep
         let mechanism = &self.legs.mechanism;
         let ([along_p, along_d], [sinc_p, sinc_d]) = (secant.middle.along(), secant.sinc);
         let [[pp, pd], [dp, dd]] = self.inertias_of(motion, &slopes, &arm, [0.5 * self.h * self.h, self.h]);
-        // s n̂_m turns by half of Δθ, and s decreases: its derivative is −Δθ/12 to second order.
+        // As Δθ grows, n̂_m turns by half as much, and s falls: ds/dΔθ = −Δθ/12 to second order.
         let stiffness = |along: Legs2, joint_load: Legs2, turn: Legs| {
             both(0.5) * along.dot(joint_load) + both(1.0 / 12.0) * turn * along.turned().dot(joint_load)
         };

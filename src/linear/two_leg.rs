@@ -120,8 +120,8 @@ impl Elimination {
         Self { mechanism: *mechanism, regularization, ground, mass }
     }
 
-    /// Returns these constants, or new ones in `other` for a different e: the printed method uses its own e, and so do steps close to a
-    /// vertex.
+    /// Returns these constants if they are for this e; otherwise computes constants for it in `other`. i3-ALP as printed in the paper and
+    /// steps close to a vertex use an e of their own.
     #[inline(always)]
     fn with<'a>(&'a self, regularization: f64, other: &'a mut Option<Self>) -> &'a Self {
         if regularization == self.regularization { self } else { other.insert(Self::new(&self.mechanism, regularization)) }

@@ -1,6 +1,7 @@
 //! Derivatives of the joint constraints over a finite step from q₀ to q₁ = q₀ + d.
 //!
-//! In a step a link turns by Δθ, from û₀ to û₁; û_m is its direction half-way. With s = sin(Δθ/2)/(Δθ/2) and c = cos(Δθ/2)
+//! In a step a link turns by Δθ, from û₀ to û₁; û_m is its direction half-way. With s = sin(Δθ/2)/(Δθ/2) and c = cos(Δθ/2) these equations
+//! are exact for a step of any length:
 //!
 //! ```text
 //! û₁ − û₀ = s n̂_m Δθ          J_b, with normals s n̂_m:  J_b d = Φ(q₁) − Φ(q₀)
@@ -8,10 +9,10 @@
 //! n̂₁ − n̂₀ = −s û_m Δθ         (Φ_q(q₁) − Φ_q(q₀)) z = K_b(z) d
 //! ```
 //!
-//! exactly, for a step of any length: each matrix is Φ_q half-way with scaled angle columns. A step with J_b and J_c therefore conserves
-//! energy and the constraints of position and velocity (O. Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Sci.
-//! 6 (1996) 449; J. C. García Orden and R. Ortega, *A conservative augmented Lagrangian algorithm for the dynamics of constrained
-//! mechanical systems*, 2006). `docs/conserving.md` derives the step.
+//! J_b and J_c are Φ_q half-way with the angle columns scaled by s or c; K_b(z) is the discrete derivative of Φ_q z with respect to q. A
+//! step with J_b and J_c therefore conserves energy and the constraints of position and velocity (O. Gonzalez, *Time integration and
+//! discrete Hamiltonian systems*, J. Nonlinear Sci. 6 (1996) 449; J. C. García Orden and R. Ortega, *A conservative augmented Lagrangian
+//! algorithm for the dynamics of constrained mechanical systems*, 2006). `docs/conserving.md` derives the step.
 
 use super::legs::{Legs, Legs2, both, sin_cos};
 use super::{Mechanism, Pose};

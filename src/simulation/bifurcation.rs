@@ -11,10 +11,10 @@ use crate::integrator::{EnergyBalance, Events, Passage, Posed, Transit, equilibr
 use crate::mechanism::coordinates::angles_by_leg;
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates};
 
-/// Distance from all links in line, rad, below which the twelve coordinates may fail.
+/// Angular distance from the posture with all links in line, rad. Below it, the twelve coordinates may fail.
 const NEAR_BIFURCATION: f64 = 1e-2;
 
-/// Distance from all links in line, rad, below which a step of the conserving method may leave its branch.
+/// Angular distance from the posture with all links in line, rad. Below it, a step of the conserving method may leave its branch.
 const LEAST_DISTANCE: f64 = 1e-4;
 
 /// Longest step in the link angles, s, so that its work stays small.
@@ -33,7 +33,7 @@ pub(super) fn is_near(model: &Model, [q, v]: [&Angles; 2], h: f64) -> bool {
         && angle_to_bifurcation(&(*q + h * *v)).min(angle_to_bifurcation(q)) <= NEAR_BIFURCATION
 }
 
-/// Distance from all links in line: the larger sine of two angles, at the left elbow and between the proximal links.
+/// Distance from the posture with all links in line: the larger sine of two angles, at the left elbow and between the proximal links.
 fn angle_to_bifurcation(q: &Angles) -> f64 {
     let [left, elbow, _, right] = LINK_INDICES;
     f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())

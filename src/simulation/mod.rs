@@ -176,7 +176,7 @@ impl Simulation {
     fn advance_delayed(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         let Self { model, run, .. } = self;
         let (Some(mut commands), Some(delay)) = (run.commands.take(), Delay::of(model)) else {
-            unreachable!("a run has commands if its model has a delay")
+            unreachable!("the run has delayed commands, but its model has no servo.delay")
         };
         let before = run.clone();
         let taken = commands.over(delay, signal, (h, steps), &mut |inputs, steps| run.advance_apart(model, inputs, steps));
@@ -192,7 +192,7 @@ impl Simulation {
     pub fn set_states(&mut self, states: [f64; STATES]) -> Result<(), SceneError> {
         let Integrator::ModelExchange(run) = &mut self.run.integrator else {
             return Err(SceneError(
-                "states are not set in co-simulation: the unit must be instantiated for model exchange.".into(),
+                "the master cannot set states in co-simulation: instantiate the unit for model exchange.".into(),
             ));
         };
         *run = run.moved(&self.model, states)?;

@@ -145,8 +145,8 @@ impl Model {
         self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::Structured
     }
 
-    /// Sets other parameters of the active effects, within their bounds; the set of effects stays. Returns whether anything has changed. A
-    /// refusal changes nothing. Not inlined, so that its models take no stack while the run follows.
+    /// Changes parameters of the active effects, within their bounds; the same effects remain active. Returns whether anything has changed.
+    /// A refusal changes nothing. Not inlined, so that its temporary models have left the stack when the run adapts to the change.
     #[inline(never)]
     pub(super) fn tune(&mut self, in_force: &effects::Parameters, tuned: &Parameters) -> Result<bool, SceneError> {
         let parameters = &tuned.effects;

@@ -14,8 +14,8 @@ fn conserving(mut parameters: Parameters, h: f64) -> Parameters {
     parameters
 }
 
-/// Largest balance residual relative to the largest energy or mgL, largest constraint violations (m, m/s, and m/s² relative to the largest
-/// acceleration), and most iterations of a step.
+/// Largest balance residual, relative to the largest energy but at least to mgL (`balance`), and relative to mgL (`in_mgl`); largest
+/// constraint violations (m, m/s, and m/s² relative to the largest acceleration); most iterations of a step.
 struct Worst {
     balance: f64,
     in_mgl: f64,

@@ -714,7 +714,7 @@ fn a_start_in_the_wrong_assembly_is_abandoned() {
     }
 }
 
-/// A machine at rest does not show its assembly, for any constant load on its motors: the doubt stays.
+/// A machine at rest under constant motor loads does not reveal its assembly: the status remains `TwoBranches`.
 #[test]
 fn at_rest_the_assembly_is_doubted() {
     let h = 1e-3;

@@ -196,7 +196,7 @@ fn energy_left_in_a_stop_near_a_vertex_is_dissipated() {
         simulation.advance(&default_inputs(), 3e-8, 1).expect("a step");
         let state = simulation.state();
         let error = state.energy_error(simulation.model());
-        // In all 1.2e-4 J are dissipated; an error would return them to the motion.
+        // In total 1.2e-4 J are dissipated. If the scaling of the rates to the energy ignored this loss, it would return it to the motion.
         assert!(error.abs() < 1e-9, "{error:e} J");
     }
     assert!(simulation.state().core.work.dissipated > 1e-4);

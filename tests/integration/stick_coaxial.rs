@@ -1,5 +1,6 @@
 //! Dry friction that sticks on machines with coaxial motors, or nearly so: against closed forms of the rotation about the axis as one
-//! piece, and against Moreau's time stepping. Inner joints can lock the opening of such a machine, never its rotation about the axis.
+//! piece, and against Moreau's time stepping. Inner joints can lock the opening of such a machine (the relative rotation of its motors),
+//! never its rotation about the axis.
 
 use std::f64::consts::PI;
 
@@ -96,7 +97,8 @@ fn locked_inner_joints_do_not_hold_the_motors() {
         let inputs = Inputs { tau: [uniform(0.02, 0.04), uniform(0.0, 0.01)], ..default_inputs() };
         let Ok(start) = Simulation::new(&parameters, &inputs) else { continue };
         let start = start.state().angles();
-        // Near a direct singularity the opening has so much inertia, or so little, that the inner joints slip.
+        // Machines near a direct singularity are skipped: the inertia of the opening is then so large or so small that the inner joints
+        // slip.
         if (start[1] - start[2]).sin().abs() < 0.3 {
             continue;
         }

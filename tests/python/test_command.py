@@ -122,7 +122,7 @@ def test_a_scene_may_have_a_byte_order_mark(encoding: str, here: Path, capsys: p
         (
             "binary",
             b"\x7fELF\xff",
-            "it cannot be read: it is not UTF-8 from byte 4 on, and text in UTF-8, or in UTF-16 with",
+            "it cannot be read: it is not valid UTF-8 at byte 4; text in UTF-8, or in UTF-16 with",
         ),
         ("huge", b" " * 4_000_001, "it has more than 4000000 bytes"),
         ("deep", "[" * 100_000, "it is not valid JSON: "),

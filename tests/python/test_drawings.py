@@ -400,7 +400,7 @@ def test_references_in_a_circle_are_named(read: Read, body: str) -> None:
 
 def test_deep_drawings_are_refused(read: Read) -> None:
     assert box(read("<g>" * 150 + LINE + "</g>" * 150))[2] == pytest.approx(10)
-    with pytest.raises(FiveBarError, match="more than 200 elements are within each other"):
+    with pytest.raises(FiveBarError, match="elements are nested more than 200 deep"):
         read("<g>" * 50_000 + LINE + "</g>" * 50_000)
 
 

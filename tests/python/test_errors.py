@@ -115,7 +115,7 @@ def test_wrong_guid(model: ModelDescription, directory: str) -> None:
 
 
 def test_functions_of_capabilities_declared_false(new: New, model: ModelDescription) -> None:
-    """They are exported, return fmi2Error and name the flag."""
+    """Functions whose capability flag is false are exported, return fmi2Error and name the flag."""
     instance = new().initialise()
     slave, flags = instance.slave, model.coSimulation
     calls = []

@@ -73,9 +73,9 @@ def test_a_cell_without_a_finite_number_is_none(tmp_path: Path) -> None:
         ("time,tau[1]\n0,5,1,5\n", "row 1 has 4 cells, and the head 2; a decimal comma needs semicolons or tabs"),
         ("time,tau[1]\n0,5\n1\n", "row 2 has 1 cells, and the head 2"),
         ('time,tau[1]\n0,"5\n', "it is no CSV: unexpected end of data"),
-        ("time,tau[1],Größe\n".encode("latin-1"), "it cannot be read: it is not UTF-8 from byte 14 on, and text in UTF-8, or in"),
-        ("time,tau[1]\n".encode("utf-16-le"), "it cannot be read: it has the character 0, which no text has, and text in UTF-8"),
-        (b"\xff\xfe" + b"t\0i\0m\0e", "it cannot be read: it is not UTF-16 from byte 8 on"),
+        ("time,tau[1],Größe\n".encode("latin-1"), "it cannot be read: it is not valid UTF-8 at byte 14; text in UTF-8, or in"),
+        ("time,tau[1]\n".encode("utf-16-le"), "it cannot be read: it has the character 0, which no text has; text in UTF-8"),
+        (b"\xff\xfe" + b"t\0i\0m\0e", "it cannot be read: it is not valid UTF-16 at byte 8"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_refused(tmp_path: Path, content: str | bytes, sentence: str) -> None:

@@ -190,7 +190,7 @@ def test_the_function_finds_what_the_command_finds(
         ({}, {"seconds": math.nan}, "seconds is nan; more than 0 is needed"),
         ({}, {"parameters": ["mass"]}, "mass cannot be sought: "),
         ({}, {"longest": None}, "'longest' must be a number in s, not null"),
-        ({}, {"begin": 9.0}, "the record has no sample from 9 s on for 10 s"),
+        ({}, {"begin": 9.0}, "the record has no sample between 9 s and 19 s"),
         (None, {}, "a record is a file, a dict of columns or a frame of pandas, not 3"),
     ],
 )  # fmt: skip

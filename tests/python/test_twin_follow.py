@@ -339,7 +339,7 @@ def test_a_record_is_replayed_to_the_bit(config: Config, library: Library, fmu: 
     # A replay from the middle begins at the next stored state.
     part = replay(run.folder, fmu, since=2.0)
     assert not part.differing and 300 < part.compared < result.compared and part.left_out > 0
-    with pytest.raises(TwinError, match=r"nothing was recorded from 100 s to inf s; the record has [45]\.?\d* s"):
+    with pytest.raises(TwinError, match=r"nothing was recorded from 100 s to inf s; the record is [45]\.?\d* s long"):
         replay(run.folder, fmu, since=100.0)
     story = figures.read(run.folder)
     summary = figures.summarise(config, story, figures.judge(story), {}, {})

@@ -27,9 +27,9 @@ def decoded(given: bytes) -> str:
         text = given.decode(encoding)
     except UnicodeDecodeError as error:
         name = "UTF-16" if encoding == "utf-16" else "UTF-8"
-        raise FiveBarError(f"it cannot be read: it is not {name} from byte {error.start} on, and {ALLOWED}") from None
+        raise FiveBarError(f"it cannot be read: it is not valid {name} at byte {error.start}; {ALLOWED}") from None
     if "\0" in text:
-        raise FiveBarError(f"it cannot be read: it has the character 0, which no text has, and {ALLOWED}")
+        raise FiveBarError(f"it cannot be read: it has the character 0, which no text has; {ALLOWED}")
     return text
 
 

@@ -849,7 +849,7 @@ def _value(variable: Variable, number: Value) -> Value | str:
 def _free(
     library: Library, functions: CDLL, component: int, handles: list[c_void_p], _callbacks: fmi2.fmi2CallbackFunctions
 ) -> None:
-    """Frees an instance and its stored states. The argument keeps the callbacks alive until then."""
+    """Frees an instance and its stored states. The argument `_callbacks` keeps the callbacks alive until this call."""
     for handle in handles:
         functions.fmi2FreeFMUstate(component, byref(handle))
     functions.fmi2FreeInstance(component)

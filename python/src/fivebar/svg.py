@@ -213,7 +213,7 @@ class _Document:
         self._spend("elements")
         self._spend("characters", sum(map(len, element.attrib.values())))
         if len(frame.within) >= MOST_DEPTH:
-            raise FiveBarError(f"more than {MOST_DEPTH} elements are within each other")
+            raise FiveBarError(f"elements are nested more than {MOST_DEPTH} deep")
         if element in frame.within:
             raise FiveBarError(f"{_called(element)} is drawn within itself, by <use>")
         style = self.css.style(element)

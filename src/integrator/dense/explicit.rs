@@ -86,7 +86,7 @@ impl<const N: usize> Stages<N> {
         self.slopes.iter().zip(weights).fold(Work::default(), |sum, (slope, weight)| sum.plus(*weight, slope.power))
     }
 
-    /// Weighted sums of q̇ and q̈ over the stages; a loop, because few scenes need it.
+    /// Weighted sums of q̇ and q̈ over the stages. A plain loop instead of unrolled code, because few scenes need these sums.
     fn sums(&self, weights: &Weights) -> [Vector<N>; 2] {
         self.slopes
             .iter()
@@ -103,8 +103,8 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
         Self { stages, last: [Vector::ZERO; 2], tableau: PhantomData }
     }
 
-    /// Increment of q or q̇ from the beginning of the step to a stage. The sum of slopes is in units of its last coefficient, which saves a
-    /// multiplication.
+    /// Increment of q or q̇ from the beginning of the step to a stage. The coefficients are divided by the last nonzero one; the sum is
+    /// then multiplied by it and h together. This saves a multiplication.
     fn increment<const STAGE: usize>(&self, part: impl Fn(&StageDerivative<N>) -> Vector<N>) -> Vector<N> {
         let mut sum = const { T::A[STAGE][0] / last(&T::A[STAGE]) } * part(&self.stages.slopes[0]);
         macro_rules! add {

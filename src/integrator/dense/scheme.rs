@@ -89,8 +89,8 @@ pub(super) struct Properties {
     order: u8,
     /// Whether steps are linearly implicit: they need the tangents at their beginning.
     pub(super) is_implicit: bool,
-    /// Whether forces are evaluated at the projected end of the step, which begins the next step. Otherwise q̈, λ and power are evaluated
-    /// when they are needed, which saves an evaluation if inputs change there.
+    /// Whether a step evaluates forces at its projected end; the next step then starts with them. Otherwise q̈, λ and power at the end are
+    /// evaluated only when needed, which saves an evaluation if inputs change there.
     pub(super) evaluates_end: bool,
     /// Polynomials of the dense output.
     pub(super) polynomials: Polynomials,

@@ -180,7 +180,7 @@ def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.
             else:
                 work.see(message, row.payload)
         if not last:
-            raise TwinError(f"nothing was recorded from {since:g} s to {until:g} s; the record has {passed:.3g} s")
+            raise TwinError(f"nothing was recorded from {since:g} s to {until:g} s; the record is {passed:.3g} s long")
         work.end()
         work.result.seconds = time.process_time() - begin
         work.result.spanned = 1e-9 * (last - (first or 0))

@@ -95,7 +95,8 @@ def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
     first, last = np.searchsorted(given.time, begin), np.searchsorted(given.time, begin + seconds, side="right")
     if first == last:
         raise TwinError(
-            f"{given.source} has no sample from {begin:g} s on for {seconds:g} s; its last one is at {given.time[-1]:.3f} s"
+            f"{given.source} has no sample between {begin:g} s and {begin + seconds:g} s; "
+            f"its last sample is at {given.time[-1]:.3f} s"
         )
     data = split(given.part(int(first), int(last)))
     if last - first < len(given.time):

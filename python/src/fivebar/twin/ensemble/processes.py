@@ -81,7 +81,7 @@ class Processes:
 
     def close(self) -> None:
         """Ends the processes."""
-        # A process that was killed may hold the lock of the queue through which the others learn of the end.
+        # A killed process may still hold the lock of the task queue, so that the others never read a request to stop.
         for process in [*(self.pool._processes or {}).values()]:
             process.terminate()
         self.pool.shutdown(cancel_futures=True)
