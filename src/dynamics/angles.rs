@@ -144,7 +144,7 @@ impl Inertia {
     }
 }
 
-/// A constant force in the link angles, by links, N·m: the cross product of a link's direction with it is the torque on the link.
+/// A constant force in the link angles, by links, N·m: the cross product of a link's direction with this force is the torque on the link.
 #[derive(Clone, Copy, Debug)]
 pub struct Weight([Legs2; 2]);
 
@@ -175,7 +175,7 @@ impl Weight {
     }
 }
 
-/// The two equations that constrain the motion: the closure of the tip, or the branch of the closure on which the motion stays. Functions
+/// The two equations that constrain the motion: the closure of the tip, or the branch of the closure on which the motion remains. Functions
 /// that use these equations are compiled twice: with `MIRRORED` for branches with mirrored pairs, because their rows depend on the
 /// direction of the mirror axis, and without it for all others.
 #[derive(Clone, Copy, Debug)]
@@ -212,7 +212,7 @@ impl Closure {
     }
 
     /// Rows of the equations, by links, from the components x and y at the tip. With mirrored pairs the second row is the component along
-    /// their axis.
+    /// their mirror axis.
     #[inline(always)]
     fn rows<const MIRRORED: bool>(&self, pose: &Pose, at_tip: [Legs2; 2]) -> [Legs2; 2] {
         let Some(&[one, other]) = self.mirrored.filter(|_| MIRRORED) else { return at_tip };
@@ -226,7 +226,8 @@ impl Closure {
         at_tip.map(|vector| Legs2 { x: Legs::ZERO, y: vector.x * x + vector.y * y })
     }
 
-    /// Gap Φ of the tip, m. On a closure branch with mirrored pairs only its component along the axis is nonzero, in the second entry.
+    /// Gap Φ of the tip, m. On a closure branch with mirrored pairs only its component along the mirror axis is nonzero, in the second
+    /// entry.
     #[inline(always)]
     pub fn gap<const MIRRORED: bool>(&self, mechanism: &Mechanism, pose: &Pose) -> AtTip {
         let [p, d] = self.rows::<MIRRORED>(pose, self.links(pose));
@@ -354,8 +355,8 @@ impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
     }
 
     /// Linearises the solution `(α, λ)` of these equations. Stiffness K = −∂Q/∂θ, N·m/rad, and damping C = −∂Q/∂ω, N·m·s/rad, are those of
-    /// the torques Q on links 1 to 4, including weight. On a branch with mirrored pairs the turn of the axis is left out: its term is
-    /// parallel to the first row and changes only λ₁.
+    /// the torques Q on links 1 to 4, including weight. On a branch with mirrored pairs the turn of the mirror axis is left out: its term
+    /// is parallel to the first row and changes only λ₁.
     pub fn linearised(&self, a: &Angles, lambda: &AtTip, [stiffness, damping]: [[[f64; 4]; 4]; 2]) -> Linearised {
         let &Self { inertia, closure, pose, rates, factor } = self;
         let (mut by_q, mut by_v) = ([Angles::ZERO; ANGLES], [Angles::ZERO; ANGLES]);

@@ -20,7 +20,7 @@ pub struct Inputs {
     pub servo_omega: [f64; 2],
 }
 
-/// Whether any value is nonzero. Every step evaluates it, so it has no branch per value.
+/// Whether any value is nonzero. Evaluated in every step, therefore without a branch per value.
 fn any(values: [[f64; 2]; 2]) -> bool {
     // The shift drops the sign bit: −0 counts as 0.
     values.as_flattened().iter().fold(0, |bits, value| bits | value.to_bits()) << 1 != 0

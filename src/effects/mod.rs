@@ -28,8 +28,8 @@ use crate::hybrid::KINKS;
 use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError};
 
 /// Declares the effects in three groups: effects that only add masses, which are constant in M; effects with a constant force; and effects
-/// with a force that depends on the motion, in the order of their evaluation. A force with kinks has their indices in the mode, which are
-/// also those of its event indicators and stay when effects are added.
+/// with a force that depends on the motion, in the order of their evaluation. A force with kinks declares their indices in the mode. Its
+/// event indicators have the same indices, which do not change when effects are added.
 macro_rules! effects {
     (masses: $($mass:ident),+; weights: $($weight:ident),+; forces: $($force:ident: $Force:ident $(with kinks $kinks:expr)?),+;) => {
         $(pub mod $mass;)+
@@ -129,7 +129,7 @@ macro_rules! effects {
     };
 }
 
-/// Refuses to compile kinks that do not take each index of the mode exactly once.
+/// Stops compilation unless each index of the mode belongs to exactly one kink.
 const fn check_kinks(of_effects: &[Range<usize>]) {
     let (mut taken, mut effect, mut count) = ([false; KINKS], 0, 0);
     while effect < of_effects.len() {

@@ -15,8 +15,8 @@ use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES};
 use crate::mechanism::exponential::tanh;
 use crate::mechanism::{Mechanism, SceneError};
 
-/// Largest angle at which a servo saturates, limit/kp, rad, for the nonlinearity to count as sharp. A servo that saturates at a larger
-/// angle is nearly linear over a step; if it is also stiff, a search for the nonlinearity would find round-off.
+/// Saturation angle limit/kp, rad, below which the nonlinearity of a servo counts as sharp. A servo with a larger angle is nearly linear
+/// over a step; if it is also stiff, a search for the nonlinearity would find round-off.
 const SHARP_SATURATION: f64 = 0.1;
 
 /// The `servo.*` parameters.

@@ -164,7 +164,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         Ok((a + da, lambda + dlambda))
     }
 
-    /// Whether a run can have reached a state with its stick-slip states. `just_stopped` allows the residual rates of a stop.
+    /// Whether a run can reach this state with its stick-slip states. `just_stopped` allows the residual rates of a stop.
     fn are_possible(&self, q: &Vector<N>, v: &Vector<N>, just_stopped: bool) -> bool {
         /// Largest rate that may contradict a stick-slip state, in stick velocities.
         const LARGEST_CONTRADICTION: f64 = 2.0 * CARRIED_RATE;
@@ -193,7 +193,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
 const REST_RATE: f64 = 1e3;
 
 /// Largest rate at which a place can start to stick, in stick velocities. A faster place keeps its direction until it reaches its guard. If
-/// it were set to slip the other way, it would be past its new guard immediately, without end.
+/// it were set to slip the other way, it would be past its new guard at once, and so on without end.
 const STICKING_RATE: f64 = CROSSING_RESIDUAL;
 
 /// Rate at which a place that sticks only through the constraint of another place begins to slip, in stick velocities: smaller rates may be
@@ -357,7 +357,7 @@ impl FrictionProblem {
     /// Problem of a system at q and q̇ for the places that may stick, can move and satisfy `rests`; the others slip.
     ///
     /// The rows act only on motions that the closure allows. With coaxial motors the inner joints share one motion; the regularisation
-    /// would leave a small difference between their rows, and with it they could prevent the rigid rotation.
+    /// would leave a small difference between their rows, which could prevent the rigid rotation.
     fn new<const N: usize, const M: usize>(
         system: &impl Frictional<N, M>,
         q: &Vector<N>,

@@ -333,7 +333,7 @@ mod tests {
     }
 
     /// Dense samples of motions with known derivatives stay below all bounds, and most cubic bounds are tight. The motions are sums of
-    /// oscillations with random frequencies; many pass a border and return between two ends that do not show the crossing.
+    /// oscillations with random frequencies; many pass a border and return between two ends that do not reveal the crossing.
     #[test]
     fn no_border_is_passed_beyond_the_bounds() {
         let mut random = ChaCha8Rng::seed_from_u64(14);

@@ -136,7 +136,7 @@ impl StickSlips {
         self.at_rest
     }
 
-    /// The states on a closure branch, with the joints still that it keeps from turning.
+    /// The states on a closure branch: joints that it keeps from turning are [`StickSlip::Still`].
     pub fn on_branch(mut self, closure_branch: ClosureBranch) -> Self {
         closure_branch.still_joints().iter().for_each(|place| self.set(*place, StickSlip::Still));
         self

@@ -34,8 +34,8 @@ impl Piecewise for UnilateralSpring {
         }
     }
 
-    /// Besides the levels of the ramp, a pushing spring separates where its push becomes negative; a free spring pushes only where its
-    /// push is positive, too. Without damping the push as a distance is the penetration.
+    /// Besides the levels of the ramp there are borders of the push: a pushing spring separates when its push becomes negative, and a free
+    /// spring pushes only if its push is positive. Without damping the push as a distance equals the penetration.
     fn border(&self, phase: Phase, index: usize, depth: f64) -> Option<Border> {
         let pushing = || if depth < self.width { Ramp } else { Full };
         match (phase, index) {

@@ -9,7 +9,7 @@ use crate::vector::Vector;
 pub(super) struct Imbalance {
     /// Relative to the energies.
     part: f64,
-    /// Energy that is always added to them, J: errors of the forces remain if little moves.
+    /// Energy, J, that is always added to the energies, because errors of the forces remain if little moves.
     always: f64,
 }
 

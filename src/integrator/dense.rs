@@ -78,7 +78,7 @@ impl Horizon {
 pub struct DenseStep<const N: usize, const M: usize, K> {
     /// State at the beginning of the step: the last accepted state that time has passed.
     start: State<N, M>,
-    /// State at the end of the step. If the scheme does not evaluate it, it lacks q̈, λ and power until they are needed.
+    /// State at the end of the step. If the scheme does not evaluate forces there, q̈, λ and power are missing until they are needed.
     end: State<N, M>,
     /// Length of the step, s.
     length: f64,
@@ -226,7 +226,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Ends the current step at the present time because inputs or parameters change: redoes it up to this time. `system` is the system of
-    /// the step; [`restart`](Self::restart) follows. On failure the run is undefined.
+    /// the step; [`restart`](Self::restart) must follow. On failure the run is undefined.
     pub fn truncate_and_redo<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) -> Result<(), StepError> {
         let mut rest = self.elapsed;
         if rest == self.length {
@@ -243,7 +243,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.step(system, settings, Horizon { output: f64::INFINITY, limit: rest }, None)?;
             rest -= self.length;
         }
-        // Dissipation that the caller has seen does not decrease: of two values below the exact one, the larger is closer.
+        // Dissipation that the caller has read does not decrease: of two values below the exact one, the larger is closer.
         self.end.work.dissipated = self.end.work.dissipated.max(sampled.dissipated);
         (self.length, self.elapsed) = (0.0, 0.0);
         Ok(())
@@ -266,7 +266,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Ends the current step at the present time because the motion is replaced: discards the step but keeps the work that the caller has
-    /// seen. `system` is the system of the step; [`replace`](Self::replace) and [`restart`](Self::restart) follow.
+    /// read. `system` is the system of the step; [`replace`](Self::replace) and [`restart`](Self::restart) must follow.
     pub fn abandon<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) {
         let work = self.sample(system, settings).work;
         if self.elapsed < self.length {
@@ -277,8 +277,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (self.length, self.elapsed) = (0.0, 0.0);
     }
 
-    /// Notes that the machine is replaced, and the motion too if `motion` is given. The current step must have been ended;
-    /// [`restart`](Self::restart) follows.
+    /// Records that the machine is replaced, and the motion too if `motion` is given. The current step must have been ended;
+    /// [`restart`](Self::restart) must follow.
     pub fn replace(&mut self, motion: Option<[Vector<N>; 2]>) {
         if let Some([q, v]) = motion {
             (self.end.q, self.end.v) = (q, v);

@@ -66,7 +66,7 @@ pub trait CutStep<const N: usize, const M: usize, const K: usize> {
     fn unknowns_of(d: &Vector<N>, lambda: &Vector<M>) -> Vector<K>;
     /// Unknowns of a step that is longer by a factor: d grows with the factor, Λ and ν with its square.
     fn lengthened(x: &Vector<K>, factor: f64) -> Vector<K>;
-    /// Motion with rates that satisfy the velocity constraints, by solving for ν; e only weighs the change of ν.
+    /// Motion with rates that satisfy the velocity constraints, by solving for ν; e only weights the change of ν.
     fn motion(&self, x: &Vector<K>, regularization: f64) -> Self::Motion;
     /// Motion with the ν of the unknowns; its rates may violate the velocity constraints.
     fn free_motion(&self, x: &Vector<K>) -> Self::Motion;

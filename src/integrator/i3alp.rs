@@ -347,8 +347,8 @@ fn taylor_step<const N: usize, const M: usize>(
 
 impl<const N: usize, const M: usize> Attempt<N, M> {
     /// Checks the sub-step for events after `tries` trials to end it at a guard. The dense output is the quintic of both ends, with the
-    /// integral of the rates as displacement. The displacement of the trapezoidal rule differs by the local error, which divided by h would
-    /// show slip where there is none.
+    /// integral of the rates as displacement. The displacement of the trapezoidal rule differs from it by the local error, which divided by
+    /// h would look like slip.
     #[cold]
     fn check_events<S: Implicit<N, M> + Events<N>>(
         &self,

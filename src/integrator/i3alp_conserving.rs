@@ -36,7 +36,7 @@ pub struct Settings {
     /// Largest number of Newton iterations of one step including its fallback stages, except the energy-only stage. 0 allows no fallback
     /// other than a better first guess.
     pub max_work: u32,
-    /// Regularisation e of the step's systems, 1/kg. It weighs increments and does not move the root.
+    /// Regularisation e of the step's systems, 1/kg. It weights increments and does not move the root.
     pub regularization: f64,
     /// Regularisation e of equilibrium and projections, 1/kg.
     pub equilibrium: f64,
@@ -44,7 +44,7 @@ pub struct Settings {
     pub energy_scale: f64,
 }
 
-/// Shortest step solved by Newton's method, s; shorter ones take the Taylor series.
+/// Shortest step solved by Newton's method, s; shorter ones use the Taylor series.
 const SHORTEST: f64 = 1e-12;
 /// Accelerations below this bound, m/s² and rad/s², are round-off.
 const BALANCED: f64 = 1e-12;

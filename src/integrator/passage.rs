@@ -19,7 +19,7 @@ pub struct PassageLimits {
 
 impl PassageLimits {
     /// Thresholds for an error tolerance, rad. A motion through a vertex misses it by the accumulated local errors of thousands of steps,
-    /// so the impact parameter follows the tolerance.
+    /// so the impact parameter grows with the tolerance.
     pub fn for_error_tolerance(tolerance: f64) -> Self {
         let impact_parameter = (1e4 * tolerance).clamp(1e-7, 1e-4);
         Self { radius: impact_parameter.sqrt().min(1e-3), impact_parameter, longest_with_dissipation: f64::INFINITY }

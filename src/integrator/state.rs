@@ -81,7 +81,8 @@ pub struct State<const N: usize, const M: usize> {
     pub energy: Option<f64>,
     /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
     pub configuration_signs: u8,
-    /// Last branch that a checked state of the motion determined, see [`System::branch`]; `None` before, and after the motion was replaced.
+    /// Last branch that a checked state of the motion determined, see [`System::branch`]; `None` before such a state, and after the motion
+    /// was replaced.
     pub branch: Option<u8>,
     /// Whether the motion is on a ray through a vertex; then nothing is projected.
     pub on_ray: bool,
@@ -125,7 +126,7 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Solves q̈ and λ again from equilibrium after a discontinuity of the forces, and resets the predictor.
     ///
-    /// Without it a new input would act half a step late, and every driven scene would be of first order.
+    /// Without a restart a new input would act half a step late, and every driven scene would be of first order.
     pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         self.reinitialize(system, pose, regularization);
         self.counters.restarts += 1;

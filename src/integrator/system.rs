@@ -47,8 +47,8 @@ pub trait System<const N: usize, const M: usize> {
     fn configuration_signs(&self, _pose: &Self::Pose) -> u8 {
         0
     }
-    /// Sines of the angles between the posture and each singularity; [`System::configuration_signs`] are their signs. All are 0 only where
-    /// the constraints lose rank, so the largest is the distance from there, rad.
+    /// Sines of the angles between the posture and each singularity; [`System::configuration_signs`] are their signs. All are 0 only if the
+    /// constraints lose rank, so the largest is the distance from a loss of rank, rad.
     fn determinants(&self, _pose: &Self::Pose) -> [f64; CONFIGURATION_SIGNS] {
         [0.0; CONFIGURATION_SIGNS]
     }
@@ -93,7 +93,7 @@ pub struct Features {
     pub may_stick: bool,
     /// Whether any force has sharp nonlinearities without an event.
     pub sharp: bool,
-    /// Whether the constraints are compiled separately from the others, so that evaluations leave the regular path.
+    /// Whether the constraints in force have separately compiled code, so that evaluations leave the regular path.
     pub special_constraints: bool,
     /// Whether steps are checked against properties that every correct step has (`checks.rs`).
     pub checks: bool,

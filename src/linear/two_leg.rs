@@ -1,8 +1,8 @@
 //! The fast linear solve: both legs side by side, joint by joint.
 //!
 //! It serves scenes whose tangents are diagonal in the link angles. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e consists of 2×2 blocks
-//! along each leg: ground, elbow, tip. With μ = 1/m, the inertias I′ of A₀ and the arms a, b of each link, eliminating them in this order
-//! needs (`docs/method.md`, "The two-leg elimination"):
+//! along each leg: ground, elbow, tip. With μ = 1/m, the inertias I′ of A₀ and the arms a, b of each link, eliminating these blocks in this
+//! order needs (`docs/method.md`, "The two-leg elimination"):
 //!
 //! ```text
 //! ground   S_GG⁻¹ S_GE = c_r r̂r̂ᵀ + c_n n̂n̂ᵀ          c_r = −μ/(μ+e),  c_n = (ab − μI′) z,  z = 1/((μ+e) I′ + a²)

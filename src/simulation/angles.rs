@@ -94,8 +94,8 @@ impl<'a> AngleSystem<'a> {
         vertex::offset(legs(q)).map(angles)
     }
 
-    /// Direction of the motion that the forces start from rest in a vertex (Gauss's principle of least constraint), and the number of
-    /// other branches that it could take.
+    /// Direction in which the forces start a motion from rest in a vertex (Gauss's principle of least constraint), and the number of other
+    /// possible branches.
     pub(super) fn branch_of_least_constraint(&self, q: &Angles) -> Option<(Angles, u32)> {
         let pose = self.pose(q);
         let force = in_link_order(&self.forces(q, &pose, &Angles::ZERO).0);
@@ -132,7 +132,7 @@ impl<'a> AngleSystem<'a> {
     }
 
     /// Forces in the angles, and their power, if other loads than the weight act. Not inlined, and arguments are passed by value, so that
-    /// motions under the weight alone stay in registers. The directions determine the pose.
+    /// motions under the weight alone stay in registers.
     #[inline(never)]
     fn loaded_torques_and_power(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
         let pose = self.mechanism().pose_along(directions);
@@ -141,7 +141,7 @@ impl<'a> AngleSystem<'a> {
         (forces, if self.features().work { power } else { Work::default() })
     }
 
-    /// Potential energy of all forces but the inputs, J. Not inlined, as [`Self::loaded_torques_and_power`].
+    /// Potential energy of all forces except the inputs, J. Not inlined for the same reason as [`Self::loaded_torques_and_power`].
     #[inline(never)]
     fn potential_with_effects(&self, q: Angles, directions: [Legs2; 2]) -> f64 {
         let pose = self.mechanism().pose_along(directions);

@@ -23,8 +23,8 @@ const LONGEST: f64 = 5e-3;
 /// Largest number of evaluations of a step across a bifurcation.
 const MOST_WORK: u32 = 20_000;
 
-/// Smallest error tolerance of that step, rad. At its start the closure determines rates only to round-off divided by the distance from the
-/// bifurcation. With a smaller tolerance, dense output would contradict such a start.
+/// Smallest error tolerance of a step across a bifurcation, rad. At its start the closure determines rates only to round-off divided by the
+/// distance from the bifurcation. With a smaller tolerance, dense output would contradict such a start.
 const LEAST_TOLERANCE: f64 = 1e-10;
 
 /// Whether a step of h seconds from these angles and rates begins or ends near a bifurcation.
@@ -40,8 +40,8 @@ fn angle_to_bifurcation(q: &Angles) -> f64 {
 }
 
 /// Length of a step, s, of at most `longest`, from coordinates and velocities on a closure branch so near its bifurcation that steps of `h`
-/// seconds in the twelve coordinates may fail or leave the branch. There they do not resolve friction either: the closure of the tip
-/// constrains one direction only with the square of the distance.
+/// seconds in the twelve coordinates may fail or leave the branch. Nor do the twelve coordinates resolve friction there, because the
+/// closure of the tip constrains one direction only in proportion to the square of the distance.
 pub(super) fn must_cross<const BARE: bool>(
     system: &FiveBar<'_, BARE>,
     [q, v]: [&Coordinates; 2],

@@ -1,11 +1,10 @@
-//! Commands of the servos that act late, by `servo.delay`: a drive reads, filters and passes on a reference before it acts.
+//! Servo commands with the delay `servo.delay`: a drive reads, filters and passes on a reference before it acts.
 //!
-//! The reference that acts at a time is the one that the master had set `servo.delay` before; until the first one acts, the reference of the
-//! start does. A change of the reference that acts is an exact break: the macro step in which it falls is taken in two parts, and no step
-//! of an error-controlled method passes it. References that change within a call are delayed as polynomials and act, like all inputs, by
-//! their value at the middle of a macro step or of its part.
+//! A reference acts `servo.delay` after the master has set it; until the first one acts, the reference of the start does. At the time of a
+//! change the macro step is divided in two parts, and no step of an error-controlled method passes this time. References that change within
+//! a call are delayed as polynomials and act, like all inputs, by their value at the middle of a macro step or of its part.
 //!
-//! All times run backwards to 0 and are reduced by each macro step in turn, so their bits do not depend on how calls group macro steps.
+//! All times count down to 0 and are reduced by each macro step in turn, so their bits do not depend on how calls group macro steps.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -76,7 +75,7 @@ impl Clone for Commands {
     }
 }
 
-/// Takes macro steps with constant inputs. A trait object, so that the library has one copy of what calls it.
+/// Takes macro steps with constant inputs. A trait object, so that the library has one copy of its callers.
 type Step<'a> = dyn FnMut(&Inputs, MacroSteps) -> Result<(), StepFailure> + 'a;
 
 /// More commands wait than there is room for.
@@ -129,7 +128,7 @@ impl Commands {
         })
     }
 
-    /// Gives commands that have been read from bytes the room of their scene.
+    /// Reserves the room of their scene for commands read from bytes.
     pub(super) fn make_room(&mut self, delay: Delay) {
         self.reserve(delay.room());
     }
@@ -155,7 +154,7 @@ impl Commands {
         if later < delay.time { self.acting(inputs, later) } else { *inputs }
     }
 
-    /// Takes `steps` macro steps of h seconds with the references of `signal`, which act later. A failure of `step` changes nothing here.
+    /// Makes `steps` macro steps of h seconds; the references of `signal` act after the delay. If `step` fails, the commands do not change.
     pub(super) fn over(
         &mut self,
         delay: Delay,
@@ -171,7 +170,7 @@ impl Commands {
         })
     }
 
-    /// Takes macro steps. A failure leaves the commands undefined.
+    /// Makes macro steps. A failure leaves the commands undefined.
     fn advance(&mut self, delay: Delay, signal: &Signal, (h, steps): (f64, u64), step: &mut Step<'_>) -> Result<(), StepFailure> {
         let (references, rounded) = (signal.references(), ROUND_OFF * h);
         self.enqueue(delay, references)?;
@@ -206,8 +205,8 @@ impl Commands {
         Ok(())
     }
 
-    /// Lets references wait, unless they are the newest ones already. New references replace others of the same time. Refused if there is
-    /// no room for them and the end of their ramp.
+    /// Appends references to the queue, unless they equal the newest ones. They replace references of the same time. Refused if the queue
+    /// has no room for them and the end of their ramp.
     fn enqueue(&mut self, delay: Delay, references: Signal) -> Result<(), StepFailure> {
         let newest = self.waiting.back().map_or(&self.acting, |last| &last.references);
         if *newest == references {
@@ -221,9 +220,9 @@ impl Commands {
         Ok(())
     }
 
-    /// Lets a time pass, s, up to the next command at most.
+    /// Advances the time, s, at most up to the next command.
     fn pass(&mut self, time: f64, rounded: f64) {
-        // References that are constant have no age, so that it does not depend on how calls group macro steps.
+        // Constant references have no age, because an age would depend on how calls group macro steps.
         if !self.acting.is_held() {
             self.age += time;
         }
@@ -254,7 +253,7 @@ impl Commands {
         if !(*age >= 0.0 && age.is_finite()) || acting.is_held() && *age != 0.0 {
             return Err("the age of a command is not valid");
         }
-        // Each has acted, or will, from its beginning to the next one; the last one stays.
+        // Each command acts from its beginning to the beginning of the next one; the last one has no end.
         let begins = std::iter::once((-age, acting)).chain(waiting.iter().map(|command| (command.due, &command.references)));
         let ends = waiting.iter().map(|command| Some(command.due)).chain([None]);
         let is_sound = |((begin, references), end): ((f64, &Signal), Option<f64>)| {

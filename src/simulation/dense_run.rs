@@ -99,7 +99,7 @@ impl DenseRun {
         self.step.check(system, &self.settings, bounds)
     }
 
-    /// Limits of the next step if the inputs stay, with `left` macro steps until the end of the call.
+    /// Limits of the next step if the inputs remain constant, with `left` macro steps until the end of the call.
     fn horizon(&self, steps: MacroSteps, left: u64) -> Horizon {
         // Converted through a signed integer, for which processors have an instruction.
         let rest = left as i64 as f64 * steps.h;
@@ -122,11 +122,11 @@ impl DenseRun {
         mut steps: MacroSteps,
     ) -> Result<(), StepFailure> {
         if steps.change == steps.h {
-            // The step under way ends at this change, too, but for the round-off of sums of macro steps.
+            // The step under way also ends at this change, up to the round-off of sums of macro steps.
             steps.h = self.step.rounded_to_end(steps.h);
             steps.change = steps.h;
         }
-        // Most calls end inside the step under way: they need no copy.
+        // Most calls end inside the step under way and need no copy.
         if steps.count == 1 && held == inputs && self.step.advance_within(steps.h, 1) == 1 {
             self.held[1] += 1;
             return Ok(());

@@ -83,7 +83,7 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
 
     /// Power of the effects that have no potential, W, at a motion.
     pub(super) fn power_without_potential(&self, at: &Motion) -> f64 {
-        // Springs are in the phase of the current state: their potential is counted, so the loss of a separated spring is power here.
+        // Springs are in the phase of the current state. A separated spring then has a potential, so its loss counts as power here.
         let mut at = *at;
         at.joints.mode = Mode::of_stick_slip(self.mode.stick_slip);
         let Work { input, dissipated } = self.effects_at(at).1;

@@ -1,4 +1,4 @@
-//! A simulation that follows a measured machine: a run, and the estimator that corrects it.
+//! A simulation that tracks a measured machine: a run, and the estimator that corrects it.
 
 use std::f64::consts::TAU;
 
@@ -188,7 +188,7 @@ impl Following {
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
         let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters.clone() };
-        // The master's parameters decide: learned values within their bounds are no reason to refuse.
+        // Only the master's parameters can be refused, not learned values within their bounds.
         Model::new(&tuned)?;
         self.estimate.estimator.begin_anew_where_tuned(&self.believed, tuned.prior().as_ref());
         let mut machine = tuned.clone();

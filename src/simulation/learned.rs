@@ -36,8 +36,8 @@ impl Parameters {
         })
     }
 
-    /// Whether lengths are learned. If the closure would split into branches for lengths within their uncertainty, lengths are not learned:
-    /// other lengths then send a motion through the posture in line another way, and no earlier sample shows which way.
+    /// Whether lengths are learned. They are not if the closure splits into branches for some lengths within their uncertainty: the lengths
+    /// then decide on which branch a motion leaves the posture with all links in line, and no earlier sample reveals the branch.
     pub fn learns_lengths(&self) -> bool {
         let Self { estimator, geometry, .. } = self;
         let sigma = estimator.sigma0_length;

@@ -54,7 +54,7 @@ pub(super) struct MacroSteps {
     pub(super) h: f64,
     /// Number of macro steps.
     pub(super) count: u64,
-    /// Whether the inputs may stay the same afterwards, so that a step may run past the end.
+    /// Whether the inputs may remain constant afterwards, so that a step may run past the end.
     pub(super) open_ended: bool,
     /// Time until the inputs are known to change, s; infinite if no change is known. If it is finite, there is one macro step.
     pub(super) change: f64,

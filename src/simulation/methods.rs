@@ -27,9 +27,9 @@ pub struct Properties {
 pub enum Steps {
     /// The macro step.
     Fixed,
-    /// With `solver.adaptive` as the error allows, within the macro step; otherwise the macro step.
+    /// With `solver.adaptive`, as long as the error allows within the macro step; otherwise the macro step.
     Adaptive,
-    /// As the error allows, past macro steps: the state there is interpolated.
+    /// As long as the error allows, past macro steps; the state at their ends is interpolated.
     Dense,
 }
 
@@ -38,7 +38,8 @@ impl Method {
     pub const fn properties(self) -> Properties {
         match self {
             Self::I3alp => Properties { steps: Steps::Adaptive, constraints: None },
-            // Its Newton iteration stops at 1e-8, and its finite penalty leaves a sixth of the rates in short steps.
+            // Newton's method stops at 1e-8, and the finite penalty leaves constraint rates of a sixth of their largest term in short
+            // steps.
             Self::I3alpPrinted => Properties { steps: Steps::Fixed, constraints: Some(Bounds { position: 1e-7, velocity: 0.5 }) },
             Self::Rk4 | Self::I3alpConserving => Properties { steps: Steps::Fixed, constraints: None },
             Self::Dop853 | Self::Automatic => Properties { steps: Steps::Dense, constraints: None },
@@ -62,14 +63,14 @@ pub enum MacroStepMethod {
     Rk4(rk4::Settings),
 }
 
-/// Energy tolerance of an i3-ALP step, relative to the tolerance of the error-controlled methods. It is smaller because an event leaves
-/// several steps, and their work is known only at their ends.
+/// Energy tolerance of an i3-ALP step, relative to the tolerance of the error-controlled methods. It is smaller because an event divides a
+/// macro step into several steps, and the work is known only at their ends.
 const I3ALP_ENERGY_SHARE: f64 = 0.2;
 
 /// Rate of the reference motion, 1/s, as in the error norm; its kinetic energy scales the energy tolerance of forces with events.
 const REFERENCE_RATE: f64 = 10.0;
 
-/// e of the conserving step relative to 1 over the mean mass. It only weighs increments: with smaller values Newton's method finds fewer
+/// e of the conserving step relative to 1 over the mean mass. It only weights increments: with smaller values Newton's method finds fewer
 /// roots next to vertices, with larger values it takes more iterations.
 const CONSERVING_REGULARIZATION: f64 = 1e-7;
 

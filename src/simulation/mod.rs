@@ -66,7 +66,8 @@ clone_by_fields!(Simulation { parameters, model, run });
 
 impl Simulation {
     /// Checks the parameters, closes the loop, selects effects and linear solve, and computes q̈ and λ of the start. Refuses parameters
-    /// outside their bounds or that do not fit together, a loop that cannot be closed, and a start with infinite accelerations or energies.
+    /// that are outside their bounds or do not fit together, a loop that cannot be closed, and a start with infinite accelerations or
+    /// energies.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         let model = Model::boxed(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
@@ -155,7 +156,7 @@ impl Simulation {
         self.run.advance(&self.model, inputs, MacroSteps { h, count: steps, open_ended: true, change: f64::INFINITY })
     }
 
-    /// Advances by `steps` macro steps of `h` seconds with inputs that change. Each macro step takes their value at its middle: the impulse
+    /// Advances by `steps` macro steps of `h` seconds with inputs that change. Each macro step uses their value at its middle: the impulse
     /// of a ramp is then exact, and the motion is of second order in h.
     pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         if signal.is_held() { self.advance(&signal.value, h, steps) } else { self.advance_changing(signal, h, steps) }
@@ -265,10 +266,9 @@ impl Simulation {
         self.counters().singular()
     }
 
-    /// Sets other parameters of the active effects from now on; the change of potential energy counts as input work. A payload of another
-    /// mass joins as its parameters say. The set of active effects stays. Refuses values outside their bounds or that do not fit together,
-    /// a payload beyond the range of the linear solve, and a present step that cannot be repeated with its end at the present time. A
-    /// refusal changes nothing.
+    /// Changes parameters of the active effects from now on; the same effects remain active. The change of potential energy counts as input
+    /// work. `payload.join` decides how added mass joins. Refuses values that are outside their bounds or do not fit together, a payload
+    /// beyond the range of the linear solve, and a current step that cannot be repeated up to the present time. A refusal changes nothing.
     #[inline(never)]
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), SceneError> {
         let tuned = Parameters { effects: parameters.clone(), ..self.parameters.clone() };

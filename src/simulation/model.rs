@@ -67,7 +67,8 @@ pub struct Model {
 }
 
 impl Model {
-    /// Checks the parameters and computes everything that stays constant. Refuses values outside their bounds or that do not fit together.
+    /// Checks the parameters and computes everything that stays constant. Refuses values that are outside their bounds or do not fit
+    /// together.
     pub fn new(parameters: &Parameters) -> Result<Self, SceneError> {
         check_bounds(parameters)?;
         Self::within_bounds(parameters)
@@ -114,7 +115,7 @@ impl Model {
         Ok(model)
     }
 
-    /// Sets other lengths, added masses included, but only in the equations of motion in the link angles.
+    /// Changes the geometry, including added masses, only in the equations of motion in the link angles.
     pub(super) fn lengthen(&mut self, geometry: &Geometry) {
         self.mechanism = Mechanism::new(geometry);
         (self.inertia, self.weight_torques) = (Inertia::new(&self.mechanism), Weight::new(&self.mechanism, &self.weight));
@@ -193,7 +194,7 @@ impl Model {
 
     /// Change of the potential energy of the active effects, J, for a change of the coordinates and the corresponding change of the motion.
     pub fn potential_change(&self, q_change: &Coordinates, at: &Motion, change: &MotionChange) -> f64 {
-        // The change serves as a velocity: dU/dt = input − dissipation − power of the wrench.
+        // Computed with the change as a velocity: dU/dt = input − dissipation − power of the wrench.
         let mut moving = Motion { velocity: change.position, ..*at };
         moving.joints.rates = change.angles;
         let stored = self.effects.iter().map(|effect| {

@@ -28,8 +28,8 @@ const ENERGY_SCALED_WITHIN: f64 = 1e-2;
 /// Factor of e near a vertex.
 pub(super) const VERTEX_REGULARIZATION: f64 = 1e-4;
 
-/// Smallest distance, relative to the radius, at which a motion enters on a ray: on its way in, the geometric sequence always ends a step
-/// at least this far out. A motion that points to the vertex further inside is turning around it.
+/// Smallest distance, relative to the radius, at which a motion may enter a ray. The geometric sequence always ends a step at least this
+/// far from the vertex, so a motion that points to the vertex from nearer is turning around it.
 const LEAST_ENTRY_DISTANCE: f64 = 0.2;
 
 /// Distance from a vertex, rad, below which round-off is assumed to stop growing, so that errors stay visible, and nothing is projected.
@@ -188,7 +188,8 @@ impl AngleSystem<'_> {
     /// the order of impact parameter × radius, and near the loss of rank a projection would divide round-off by the smallest singular
     /// value.
     ///
-    /// `None` if leaving the ball would change the energy, or if unilateral springs take a large part of it: such a motion is not on a ray.
+    /// `None` if leaving the ball would change the energy, or if, with unilateral springs in the scene, the forces without potential would
+    /// change it much: such a motion is not on a ray.
     fn transit(&self, from: &Departure<'_, ANGLES>, ray: &Ray, rest: f64) -> Option<Transit<ANGLES>> {
         let &Ray { vertex, aside, direction, position, speed, acceleration, .. } = ray;
         let (duration, leaves) = (ray.duration.min(rest), ray.duration <= rest);

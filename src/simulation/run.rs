@@ -146,7 +146,7 @@ impl Run {
         }
     }
 
-    /// As [`advance`](Self::advance), in a function of its own: one copy for all calls but the plain one keeps the library small.
+    /// As [`advance`](Self::advance), but not inlined: one copy for all calls except the plain one keeps the library small.
     #[inline(never)]
     pub(super) fn advance_apart(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
         self.advance(model, inputs, steps)
@@ -172,7 +172,7 @@ impl Run {
         State { core, turns, inputs: *inputs, energy_at_start, stick_slip }
     }
 
-    /// Replaces the model. The change of potential energy counts as input work, and added mass joins as `join` says. A failure changes
+    /// Replaces the model. The change of potential energy counts as input work, and `join` decides how added mass joins. A failure changes
     /// nothing.
     pub(super) fn tune(&mut self, before: &Model, after: &Model, join: Join) -> Result<(), StepError> {
         // Commands do not change, and a copy of them would need memory.
@@ -251,7 +251,7 @@ trait ByMacroSteps: Copy {
         taken.inspect_err(|_| (*self, *turns, *held) = before)
     }
 
-    /// Takes macro steps in one form of the system. A failure leaves the state undefined.
+    /// Makes macro steps in one form of the system. A failure leaves the state undefined.
     fn take<const BARE: bool>(
         &mut self,
         model: &Model,

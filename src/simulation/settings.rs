@@ -19,7 +19,7 @@ pub struct Settings {
     pub method: Method,
     /// Macro step h, s; of methods with dense output also the first step tried.
     pub step_size: f64,
-    /// Whether macro steps are divided where the local error asks ([`Steps::Adaptive`] only).
+    /// Whether macro steps are divided as the local error requires ([`Steps::Adaptive`] only).
     pub adaptive: bool,
     /// Local error allowed per sub-step, rad.
     pub error_tolerance: f64,

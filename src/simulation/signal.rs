@@ -63,7 +63,7 @@ impl Signal {
         self.derivatives.is_none()
     }
 
-    /// Replaces the polynomial by its value after `elapsed` seconds, which stays until the master sets other inputs.
+    /// Replaces the polynomial by its value after `elapsed` seconds, which remains until the master sets other inputs.
     pub fn end(&mut self, elapsed: f64) {
         if !self.is_held() {
             *self = Self::held(self.at(elapsed));

@@ -81,7 +81,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Writes the parts of a sample that do not depend on the coordinates into a state, which may have other coordinates.
     pub fn record<const A: usize, const B: usize, P>(&self, sample: &Sample<N, P>, to: &mut State<A, B>) {
-        // Counters of the step count once time has passed its end. A start from rest at a vertex counts immediately.
+        // A step is counted once time has passed its end, a start from rest at a vertex immediately.
         let passed = if self.elapsed == self.length { &self.end } else { &self.start };
         to.configuration_signs = passed.configuration_signs;
         to.counters = Counters { launches: self.end.counters.launches, ..passed.counters };
@@ -197,7 +197,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         Path { origin: start.q, increment, length: *length, longest_parabola: LONGEST_PARABOLA }
     }
 
-    /// Ends the step at an event that its interpolant shows `when` seconds after the beginning. If the result would be less accurate than a
+    /// Ends the step at an event that its interpolant has `when` seconds after the beginning. If the result would be less accurate than a
     /// step up to this time, returns false and changes nothing.
     pub(super) fn truncate<S>(&mut self, system: &S, settings: &Settings, mut when: f64) -> bool
     where

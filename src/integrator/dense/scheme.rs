@@ -144,8 +144,8 @@ impl Scheme {
     /// Scheme that can make every step: explicit, with steps that can be truncated. It makes steps near vertices, where round-off dominates
     /// tangents, with friction that may stick, and instead of an implicit step that cannot begin.
     pub(super) const GENERAL: Self = Self::Dop853;
-    /// Scheme of the automatic choice while inputs are held for no longer than its step. The memory holds the length of its next step apart
-    /// from that of the other schemes.
+    /// Scheme of the automatic choice while inputs are held for no longer than its step. The memory stores the length of its next step
+    /// separately.
     pub(super) const BRIEF: Self = Self::Tsit5;
 
     /// Order p: the local error falls with the power p + 1 of the step length.
@@ -166,8 +166,8 @@ pub enum Schemes {
 /// Error tolerance, rad, above which Rodas4 replaces Rodas5P: it is cheaper, and oscillates less at discontinuities.
 const RODAS4_TOLERANCE: f64 = 1e-5;
 
-/// Growth of the assumed step of [`Scheme::BRIEF`] after each step of [`Scheme::GENERAL`] with frequent input changes, so that the former is
-/// tried again.
+/// Growth of the assumed step of [`Scheme::BRIEF`] after each step of [`Scheme::GENERAL`] with frequent input changes, so that
+/// [`Scheme::BRIEF`] is tried again.
 const BRIEF_STEP_GROWTH: f64 = 1.05;
 
 /// Number of explicit steps at the stability limit that switch to implicit steps; each return doubles it.
@@ -353,7 +353,7 @@ pub(super) struct StiffnessDetector {
     away_from_limit: u8,
     /// Whether stability rather than accuracy has limited the steps.
     pub(super) detected: bool,
-    /// Fastest rate of the tangents, 1/s, if sticking friction and springs keep the system at rest, so that the motion does not show it.
+    /// Fastest rate of the tangents, 1/s, if sticking friction and springs keep the system at rest, so that the motion does not reveal it.
     pub(super) rate_at_rest: Option<f64>,
 }
 

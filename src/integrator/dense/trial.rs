@@ -100,7 +100,7 @@ pub(super) struct ErrorWeights {
 }
 
 impl ErrorWeights {
-    /// Weights of a system. With events the work is weighted too: it depends on discontinuous forces, and the motion does not show their
+    /// Weights of a system. With events the work is weighted too: it depends on discontinuous forces, and the motion does not reveal their
     /// error.
     pub(super) fn of(settings: &Settings, features: Features) -> Self {
         /// Admissible error of a slow rate, relative to the regularisation velocity: larger errors would step over sticking.
@@ -131,8 +131,8 @@ impl ErrorWeights {
     }
 }
 
-/// Work of a step with its dissipated part raised to at least 0: a negative value shows an error of at least its size. If this exceeds the
-/// admissible error, the step is refused with the error in tolerances.
+/// Work of a step with its dissipated part raised to at least 0: a negative value reveals an error of at least its size. If this error
+/// exceeds the admissible one, the step is refused with the error in tolerances.
 pub(super) fn checked_work(settings: &Settings, work: Work) -> Result<Work, f64> {
     let error = -work.dissipated / (settings.error_tolerance * settings.energy_scale);
     if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }

@@ -131,7 +131,7 @@ fn keep_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     };
     let beta = at.h * at.h / 4.0;
     let (by_force, y_by_force) = system.solve_tangent(at, regularization, &(beta * force), &Vector::ZERO)?;
-    // With the trapezoidal rule a correction changes the rate by 2/h times itself.
+    // With the trapezoidal rule a correction changes the rate by 2/h times the correction.
     let mobility = row.dot(&by_force);
     if mobility == 0.0 {
         return Ok(((correction, y), Vector::ZERO));

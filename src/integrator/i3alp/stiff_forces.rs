@@ -1,5 +1,5 @@
 //! Error control with stiff forces (friction, servos, stops, contact): errors of the rates and of the energy balance, which the link angles
-//! do not show; and the work of drives (`docs/method.md`, section 5.6).
+//! do not reveal; and the work of drives (`docs/method.md`, section 5.6).
 
 use super::Settings;
 use crate::integrator::{Implicit, State, StepEnd, TangentPoint};

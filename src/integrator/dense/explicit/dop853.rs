@@ -68,7 +68,7 @@ impl Tableau for Dop853 {
     }
 }
 
-/// h times the weighted sum of slopes; a loop, because few steps need their interpolant.
+/// h times the weighted sum of slopes. A plain loop instead of unrolled code, because few steps need their interpolant.
 fn weighted_sum<const N: usize>(h: f64, slopes: &[StageDerivative<N>; ALL], row: Row) -> StageDerivative<N> {
     let mut sum = StageDerivative::NONE;
     for &(stage, coefficient) in row {
@@ -202,7 +202,7 @@ const ERROR_3: Row = &[
 
 /// Second error estimate of order 5, for sharp nonlinearities. Sums over the stages that satisfy the conditions of order 5 form a space of
 /// three dimensions. Among 7,800 steps under friction with known errors, this direction best detects steps that [`ERROR_5`] underestimates.
-/// The row has twice the length of that direction, which took the fewest steps for a given error.
+/// The row has twice the length of that direction: this length took the fewest steps for a given error.
 const SECOND_ERROR: Row = &[
     (0, 0.03594421965334723),
     (5, -0.4741121613850806),
