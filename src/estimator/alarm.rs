@@ -61,7 +61,7 @@ impl Alarm {
         let changes =
             size > SUDDEN_CHANGE.0 * scale && (loud > SUDDEN_CHANGE.1 || loud > PROBABLE_CHANGE.0 && beyond(PROBABLE_CHANGE.1));
         let changes = changes || size > LASTING_CHANGE.0 * scale && beyond(LASTING_CHANGE.1);
-        // Mass errors act like forces, too; these are large if the inertia torques exceed the torque scale.
+        // Mass errors also act like forces, and like large ones if the inertia torques exceed the torque scale.
         if changes && (self.inertia < scale || exceed_masses()) {
             self.time_since_alarm = 0.0;
         }

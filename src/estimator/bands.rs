@@ -208,7 +208,7 @@ fn radius_of_95_percent(models: &[(f64, Pair)]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Circles and lines have the exact radius; a loud model with a probability below 5 % hardly widens it.
+    /// Circles and lines have the exact radius; a loud model with a probability below 5 % hardly widens the circle.
     #[test]
     fn radii_hold_95_percent() {
         let radius = |models: &[(f64, [f64; 2])]| {

@@ -51,7 +51,7 @@ impl Belief {
         motion: &mut LinkState,
     ) -> Option<(Error, Matrix2<f64>, Frame)> {
         let mut error = self.bank.mean();
-        // Persistent errors of the encoders stay in the bank.
+        // Persistent errors of the encoders remain in the bank.
         error.fixed_rows_mut::<2>(READINGS).fill(0.0);
         let [a, b, c, d, ..]: [f64; ERRORS] = error.into();
         let (corrected, to) = linkage.displaced(from, motion, [a, b, c, d])?;
@@ -195,9 +195,9 @@ impl Bank {
         }
     }
 
-    /// Time update: mixing of the models, transition F, process noise. `scales` are the torque scale, N·m, the inertia
-    /// torques, N·m, and an additional random walk of the unknown force, N·m/√s. A model persists with the probability `stay`, as
-    /// `persistence` has it; else a model drawn from `priors` replaces it.
+    /// Time update: mixing of the models, transition F, process noise. `scales` are the torque scale, N·m, the inertia torques, N·m, and an
+    /// additional random walk of the unknown force, N·m/√s. A model persists with the probability `stay` ([`persistence`]); otherwise a
+    /// model drawn from `priors` replaces it.
     pub fn predict(&mut self, f: &Transition, noise: &ProcessNoise, scales: [f64; 3], stay: f64, priors: &[f64; MODELS]) {
         let end = |j, member: &mut Member| bound(j, member, |_, _| ());
         self.predict_with(f, noise, (&TAKEN_AS_KNOWN, scales), (stay, priors), end);
@@ -229,8 +229,7 @@ impl Bank {
         }
     }
 
-    /// Replaces the priors of the models: the probabilities contain `model_prior`, and then contain [`LIKELY_MODELS`]. The evidence of the
-    /// samples stays.
+    /// Replaces the priors `model_prior`, which the probabilities contain, by [`LIKELY_MODELS`]. The evidence of the samples remains.
     pub(super) fn reset_priors(&mut self, model_prior: &[f64; MODELS]) {
         for (member, (prior, model_prior)) in self.members.iter_mut().zip(LIKELY_MODELS.iter().zip(model_prior)) {
             member.weight *= prior / model_prior;
@@ -393,7 +392,8 @@ pub(super) struct Mixing {
 }
 
 impl Mixing {
-    /// Shares of a model of this probability: either it stays, or any model switches to it. If its new probability is 0, they are NaN.
+    /// Shares of a model of this probability: either it persists, or any model switches to it. If its new probability is 0, the shares are
+    /// NaN.
     pub(super) fn new(weight: f64, stay: f64, prior: f64) -> Self {
         let (own, any) = (weight * stay, (1.0 - stay) * prior);
         let weight = own + any;
@@ -430,8 +430,8 @@ mod tests {
     use super::*;
     use crate::estimator::tuning::{BY_INTERVALS, BY_NOISE};
 
-    /// With the priors reset, a bank without samples has the probabilities [`LIKELY_MODELS`]; evidence of samples stays; probabilities of 0
-    /// stay 0.
+    /// With the priors reset, a bank without samples has the probabilities [`LIKELY_MODELS`]; evidence of samples remains; probabilities of
+    /// 0 remain 0.
     #[test]
     fn forecasts_are_of_what_is_likely() {
         let weights = |priors: [f64; MODELS], model_prior: &[f64; MODELS]| {

@@ -1,6 +1,6 @@
 //! Causes: the most probable explanation of the samples since something went wrong.
 //!
-//! From the first surprising sample on, a witness (`witness.rs`) follows the errors in parallel to the bank. An explanation is a set of
+//! From the first surprising sample on, a witness (`witness.rs`) tracks the errors in parallel to the bank. An explanation is a set of
 //! faults that the witness leaves free.
 
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -129,8 +129,7 @@ impl Causes {
         }
     }
 
-    /// Ends the collection of evidence when the errors are no longer followed. `wrong`: the estimate was wrong, which confirms the
-    /// surprise.
+    /// Ends the collection of evidence when the errors are no longer tracked. `wrong`: the estimate was wrong, which confirms the surprise.
     pub(super) fn close(&mut self, wrong: bool) {
         if let Some(surprise) = &mut self.surprise {
             surprise.age = surprise.age.max(EVIDENCE_TIME);
@@ -138,7 +137,7 @@ impl Causes {
         }
     }
 
-    /// Takes over a certain cause, which explains the surprise.
+    /// Accepts a certain cause, which explains the surprise.
     pub(super) fn know(&mut self, cause: Cause) {
         *self = Self { surprise: None, last: Some((cause.number() as u8, 1.0)), calm: 0.0 };
     }

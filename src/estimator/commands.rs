@@ -3,7 +3,8 @@
 //! While no samples arrive, no commands arrive either. The errors c of the four commands, τ₁, τ₂, θ_ref,1 and θ_ref,2, are random walks from
 //! the time of the last samples on; references that act late by `servo.delay` walk from this delay later on. Over a step the errors c move
 //! the errors e of the motion, angles and rates on the tangent basis, by Γ c, where Γ is the effect of a constant unknown force times the
-//! forces by the commands. The covariances of c, of e by c alone, and of both follow.
+//! forces by the commands. The functions here propagate the variances of c, the covariance of
+//! the part of e due to c, and the covariance between both.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Matrix2x4, Matrix4, Vector4};
@@ -60,8 +61,8 @@ fn rates(parameters: &Parameters) -> Vector4<f64> {
     Vector4::new(a, b, c, d).map(|scale| scale * scale / COMMAND_TIME)
 }
 
-/// Covariances of a walk with these variance rates, each for its time, s, by the effect Γ of each command if it were constant for that
-/// time: of the errors of the motion with the commands, and of the errors of the motion. Accelerations count as proportional to the
+/// Covariances due to commands that walk with these variance rates, each for its time, s: of the errors of the motion with the commands, and
+/// of the errors of the motion. `effect` is Γ of commands that are constant for these times. Accelerations count as proportional to the
 /// commands, so that angles grow with t³/6 and rates with t²/2.
 fn walked(effect: &Matrix4<f64>, rates: &Vector4<f64>, times: &Vector4<f64>) -> [Matrix4<f64>; 2] {
     let with_commands = effect * Matrix4::from_diagonal(&rates.component_mul(times));

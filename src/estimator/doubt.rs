@@ -1,10 +1,10 @@
-//! Doubt about the start: encoders do not measure the assembly, so a start may be in the wrong one. Both assemblies are followed until the
+//! Doubt about the start: encoders do not measure the assembly, so a start may be in the wrong one. Both assemblies are tracked until the
 //! motion decides between them.
 //!
 //! The motion in the other assembly has its own unknown force. Each motion has a witness (`witness.rs`), which allows only an unknown force
 //! of any size that hardly changes, and leaves masses, payload, friction and a delay of the samples free. The wrong assembly needs a force
-//! that changes as the machine accelerates, and none of these explains such a force. X is the sum of r²/S that the best values of the free
-//! parameters leave, and the determinant D is the cost of their freedom. The evidence for the start is
+//! that changes as the machine accelerates, and none of these free parameters explains such a force. X is the sum of r²/S that the best
+//! values of the free parameters leave, and the determinant D is the cost of their freedom. The evidence for the start is
 //!
 //! ```text
 //! ½ [ (X' − X)/c + ln D' − ln D ]        c = max(1, min(X, X')/n)
@@ -33,7 +33,7 @@ use super::witness::{ByFaults, DELAY, Faults, Witness, prior_sizes};
 pub(super) enum Doubt {
     /// No samples of both encoders have arrived together yet.
     Pending,
-    /// Both assemblies are followed.
+    /// Both assemblies are tracked.
     Open(Branches),
     /// The assembly is known, or the hypotheses (`hypotheses.rs`) decide it.
     Ended,
@@ -56,22 +56,22 @@ enum Verdict {
     Open,
     /// The start is in the right assembly.
     Right,
-    /// The start is in the wrong one.
+    /// The start is in the wrong assembly.
     Wrong,
 }
 
 impl Doubt {
-    /// Whether both assemblies are followed.
+    /// Whether both assemblies are tracked.
     pub(super) fn is_open(&self) -> bool {
         matches!(self, Self::Open(_))
     }
 
-    /// Both assemblies, while they are followed.
+    /// Both assemblies, while they are tracked.
     fn branches(&mut self) -> Option<&mut Branches> {
         if let Self::Open(branches) = self { Some(branches) } else { None }
     }
 
-    /// Motion in the other assembly, while it is followed.
+    /// Motion in the other assembly, while it is tracked.
     pub(super) fn other(&self) -> Option<&Alternative> {
         if let Self::Open(branches) = self { Some(&branches.other) } else { None }
     }

@@ -74,7 +74,7 @@ pub enum Fault {
 pub(super) struct Measurement {
     /// Angle, rad.
     pub(super) angle: f64,
-    /// Mean rate between the two valid samples before it, rad/s; `None` if there are none, or if samples between them are missing.
+    /// Mean rate between the two valid samples before this one, rad/s; `None` if there are none, or if samples between them are missing.
     pub(super) before: Option<f64>,
     /// Age, s.
     pub(super) age: f64,
@@ -123,8 +123,8 @@ impl Measurement {
         alone
     }
 
-    /// The sample of encoder i while lengths and mounting angles are learned, and so are no errors of the reading. Errors of disc and
-    /// scale, with the standard deviation `further`, rad, and model errors remain.
+    /// The sample of encoder i while lengths and mounting angles are learned and therefore do not count as errors of the reading. Errors of
+    /// disc and scale, with the standard deviation `further`, rad, and model errors remain.
     pub(super) fn learned(&self, i: usize, further: f64) -> Self {
         let of_model = if self.unrevealed > 0.0 { ERROR_ALONE } else { 0.0 };
         self.with_persistent_error(i, further.max(of_model))
@@ -143,7 +143,7 @@ impl Measurement {
         Innovation { residual: wrapped(change), row, noise: 2.0 * self.single_variance() }
     }
 
-    /// Whether the axis rests. Quantisation and persistent errors of a resting axis are common to all its samples. They are no noise, and
+    /// Whether the axis rests. Quantisation and persistent errors of a resting axis are common to all its samples. They are not noise, and
     /// nothing is learned from the samples.
     pub(super) fn rests(&self) -> bool {
         self.rate.abs() * CORRELATION_TIME < self.quantum.max(self.persistent)
@@ -180,15 +180,15 @@ pub struct Encoder {
     trust: Trust,
     /// Innovation of the last sample that was compared with the estimate: measured minus expected angle, rad.
     innovation: f64,
-    /// Macro steps' time since the encoder was absent, a sample was rejected or the estimate restarted, s.
+    /// Simulated time since the encoder was absent, a sample was rejected or the estimate restarted, s.
     believed_for: f64,
     /// Time between the last two valid samples, s; 0 before there are two.
     interval: f64,
-    /// Macro steps' time since the last valid sample, s; infinite before the first.
+    /// Simulated time since the last valid sample, s; infinite before the first.
     time_since_sample: f64,
-    /// Macro steps' time since the last sample, s, valid or not; since the start before the first.
+    /// Simulated time since the last sample, s, valid or not; since the start before the first.
     time_since_arrival: f64,
-    /// Macro steps' time between the last two valid samples, s; 0 before there are two.
+    /// Simulated time between the last two valid samples, s; 0 before there are two.
     arrival_interval: f64,
     /// Mean variance of the time stamps, s².
     jitter: f64,
@@ -325,7 +325,7 @@ impl Encoder {
         if self.timing == 0.0 { sigma } else { libm::hypot(sigma, self.timing * rate) }
     }
 
-    /// Macro steps' time since the last valid sample, s; infinite before the first.
+    /// Simulated time since the last valid sample, s; infinite before the first.
     pub(super) fn time_since_sample(&self) -> f64 {
         self.time_since_sample
     }
@@ -398,7 +398,7 @@ impl Encoder {
         self.is_stuck() || self.trust.is_lasting()
     }
 
-    /// Leaves out the samples, which have the innovation `residual`, rad, until they jump, even if the estimate has not settled yet.
+    /// Ignores the samples, which have the innovation `residual`, rad, until the reading jumps, even if the estimate has not settled yet.
     pub(super) fn leave_out_lastingly(&mut self, residual: f64) {
         (self.innovation, self.trust) = (residual, self.trust.after(Event::Exchanged(residual)));
     }
@@ -443,8 +443,8 @@ impl Encoder {
         admitted.then(|| self.with_quantisation_interval(expected, sample))
     }
 
-    /// Gate: whether a sample is used. Errors that many samples share count once here: the test whether a force explains the sample takes
-    /// the quantisation error of a single sample, and the gate leaves out model errors.
+    /// Gate: whether a sample is used. Errors that many samples share count once here: the test whether a force explains the sample uses
+    /// the quantisation error of a single sample, and the gate excludes model errors.
     fn passes_gate(
         &mut self,
         bank: &Bank,
@@ -472,7 +472,7 @@ impl Encoder {
         let event = match self.fault {
             Fault::None => Event::Accepted,
             Fault::Stuck => Event::Froze,
-            // A force that has moved the axis so far moves it further, which the next sample shows.
+            // A force that has moved the axis so far moves it further, which the next sample reveals.
             _ if patient && witnessed && self.is_settled() && self.jumps(bank, sample, change) => Event::Jumped(residual),
             _ => Event::Rejected,
         };

@@ -1,6 +1,6 @@
 //! Error state of the filters: two components of the angles, two of the rates and two of the unknown force on the tangent basis N, and the
-//! persistent errors of both encoders. The parameters that may be learned follow these errors. The functions here transform the covariance
-//! P by a transition, a sample or a change of basis; each result is symmetric to the bit.
+//! persistent errors of both encoders. The errors of learned parameters come after these errors. The functions here transform the
+//! covariance P by a transition, a sample or a change of basis; each result is symmetric to the bit.
 //!
 //! A persistent error of a reading, due to lengths, mounting and discs, is a Gauss–Markov process b with variance 1 in units of its
 //! standard deviation s. In h seconds it keeps the part φ = τ/(τ + h), which is exp(−h/τ) to first order (Bryson and Ho, *Applied Optimal
@@ -39,7 +39,7 @@ pub type Transition = SMatrix<f64, MOVING, MOVING>;
 pub const LEARNED: usize = 18;
 /// Number of loads, which come first: masses, payload and friction.
 pub const LOADS: usize = 11;
-/// Number of lengths and mounting angles, which follow the loads.
+/// Number of lengths and mounting angles, which come after the loads.
 pub const GEOMETRY: usize = LEARNED - LOADS;
 /// Logarithms of the factors of the masses of links 1 to 4; inertias have the same factors.
 pub const MASSES: Range<usize> = 0..4;
@@ -155,7 +155,7 @@ pub(super) fn reduce_in_part<const N: usize>(
     }
 }
 
-/// Bounds the variances of angles, rad², and of rates, rad²/s², in unobserved directions; correlations stay. Larger variances would take
+/// Bounds the variances of angles, rad², and of rates, rad²/s², in unobserved directions; correlations remain. Larger variances would take
 /// digits from small ones. `also` gets the index and the factor of each error that is scaled.
 pub(super) fn bound_variances<const N: usize>(
     covariance: &mut SMatrix<f64, N, N>,

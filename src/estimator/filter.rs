@@ -183,7 +183,7 @@ impl Filter {
         self.learning.iter_mut().for_each(|learning| learning.pause(&self.belief.bank));
     }
 
-    /// Restarts all parameters. Bounds already reported stay reported.
+    /// Restarts all parameters. Bounds already reported remain reported.
     pub(super) fn restart_parameters(&mut self, machine: &Machine) {
         if let Some((learning, prior)) = self.learning.as_mut().zip(machine.prior.as_ref()) {
             learning.restart_all(prior);

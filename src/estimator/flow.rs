@@ -1,8 +1,8 @@
 //! Flow of the motion and of its errors: Runge–Kutta method of order 4 on the equations of motion in the link angles and on their
 //! variational equations. A scene provides the coefficients.
 //!
-//! The six variations start as N in the angles, N in the rates, and the unknown force on N. The variations of the learned parameters
-//! follow.
+//! The six variations start as N in the angles, N in the rates, and the unknown force on N. The variations of the learned parameters come
+//! after them.
 
 use nalgebra::{Matrix4, Matrix4x2, Matrix4x6, SMatrix};
 
@@ -177,7 +177,7 @@ pub fn flow<const P: usize>(
         point.d_omega.set_column(k, &turned);
     }
     let h = h / f64::from(steps);
-    // ∂α/∂mass takes the accelerations by known forces only. With the unknown force, which drifts, a free fall would seem to determine a
+    // ∂α/∂mass uses only the accelerations due to known forces. With the unknown force, which drifts, a free fall would seem to determine a
     // common factor of all masses.
     let unknown = if P > 0 { frame.basis.tr_mul(&(frame.by_inputs() * force)) } else { Pair::zeros() };
     let learned = |at: &LinkState, near: &Linearised| {

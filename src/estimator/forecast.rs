@@ -47,8 +47,8 @@ pub(super) struct Forecast {
 }
 
 impl Point {
-    /// Integrates over h seconds under the estimate's force and its own. Keeps the state if the loop cannot be closed. Returns the number
-    /// of Runge–Kutta steps.
+    /// Integrates over h seconds under the estimate's force and the point's own. Keeps the state if the loop cannot be closed. Returns the
+    /// number of Runge–Kutta steps.
     fn step(&mut self, linkage: &Linkage, scene: &impl Scene, force: &Links, h: f64) -> u32 {
         let force = force + self.force;
         let near = scene.linearised(&self.motion, &force, &Matrix4x2::zeros());
@@ -187,8 +187,9 @@ impl Forecast {
     }
 
     /// Fraction of sigma points, estimate included, with a change of sign of sin(θ₃ − θ₂) within the horizon, under inputs that include the
-    /// unknown force; `scene` is a function of the time from now, s. `step` is the time between two checks, s; it becomes longer if there would be more than [`MOST_CHECKS`]
-    /// checks. If a point turns so fast that it takes more steps than [`MOST_STEPS_OF_POINT`] allows, it counts as meeting a singularity.
+    /// unknown force; `scene` is a function of the time from now, s. `step` is the time between two checks, s; it becomes longer if there
+    /// would be more than [`MOST_CHECKS`] checks. If a point turns so fast that it needs more steps than [`MOST_STEPS_OF_POINT`] allows, it
+    /// counts as meeting a singularity.
     pub(super) fn singularity_probability<S: Scene>(
         &self,
         machine: &Machine,

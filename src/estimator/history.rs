@@ -60,7 +60,7 @@ impl History {
         let Some(back) = transition.try_inverse().filter(|back| back.iter().all(|x| x.abs() < LARGEST_INVERSE)) else {
             return self.clear();
         };
-        // One older entry stays for interpolation.
+        // One older entry is kept for interpolation.
         while self.past.len() > 1 && self.past[1].age + h > max_age || self.past.is_full() {
             self.past.remove(0);
         }

@@ -36,7 +36,7 @@ use crate::mechanism::{Assembly, Start, close};
 /// Largest number of alternatives after a vertex.
 const MOST: usize = 3;
 
-/// Motion followed in parallel to the estimate, with its errors.
+/// Motion tracked in parallel to the estimate, with its errors.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Alternative {
     pub(super) motion: LinkState,
@@ -48,9 +48,9 @@ pub(super) struct Alternative {
 pub(super) enum Moves<'a> {
     /// Straight on through a vertex, with this unknown force.
     Straight(&'a Links),
-    /// With this unknown force.
+    /// Under this unknown force.
     Under(&'a Links),
-    /// With nearly no unknown force; it takes the transition of the estimate if the motion is close to the estimate.
+    /// With nearly no unknown force, and with the transition of the estimate if the motion is close to the estimate.
     Quiet(Option<&'a Propagation>),
 }
 
@@ -91,7 +91,7 @@ enum Question {
     Assemblies { own: Alternative, other: Alternative, evidence: f64, age: f64 },
 }
 
-/// The open question, and the evidence for questions that may follow.
+/// The open question, and the evidence for later questions.
 #[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Hypotheses {
     question: Question,
@@ -115,12 +115,12 @@ impl Default for Hypotheses {
 }
 
 impl Hypotheses {
-    /// Whether several motions are followed, after a vertex or in both assemblies.
+    /// Whether several motions are tracked, after a vertex or in both assemblies.
     pub(super) fn are_open(&self) -> bool {
         matches!(self.question, Question::Vertex { .. } | Question::Assemblies { .. })
     }
 
-    /// Whether motions with nearly no unknown force are followed.
+    /// Whether motions with nearly no unknown force are tracked.
     pub(super) fn are_quiet(&self) -> bool {
         matches!(self.question, Question::Passage { .. } | Question::Assemblies { .. })
     }
@@ -130,8 +130,8 @@ impl Hypotheses {
         self.since_vertex > AFTER_VERTEX.lifetime
     }
 
-    /// Opens a question if the estimate leaves a vertex, because no sample has shown on which side it was passed. `to` is the estimate at
-    /// the end of the macro step. Called before the time update.
+    /// Opens a question if the estimate leaves a vertex, because no sample has revealed on which side the vertex was passed. `to` is the
+    /// estimate at the end of the macro step. Called before the time update.
     pub(super) fn open_after_vertex(
         &mut self,
         machine: &Machine,
@@ -200,7 +200,7 @@ impl Hypotheses {
         }
     }
 
-    /// Follows the passage of a direct singularity, and opens the question of the assembly after it.
+    /// Tracks the passage of a direct singularity, and opens the question of the assembly after it.
     fn follow_passage(&mut self, machine: &Machine, (motion, belief): (&LinkState, &Belief), at: &Frame) {
         let quiet = || Alternative::quiet(machine, motion, belief);
         if let Question::Passage { passing, odds } = &mut self.question {
@@ -317,7 +317,7 @@ impl Hypotheses {
         }
     }
 
-    /// Takes over an undecided doubt about the side of the estimate; `odds` is the log-likelihood of the other side.
+    /// Accepts an undecided doubt about the side of the estimate; `odds` is the log-likelihood of the other side.
     pub(super) fn doubt_side(&mut self, odds: f64) {
         self.mirror_odds = self.mirror_odds.max(odds.clamp(NEGLIGIBLE_ODDS, 0.0));
     }
@@ -346,7 +346,7 @@ impl Hypotheses {
         self.lost >= DIVERGENCE_TIME
     }
 
-    /// No question yet, for an estimate that may be on either side of a direct singularity. Both assemblies will be followed.
+    /// No question yet, for an estimate that may be on either side of a direct singularity. Both assemblies will be tracked.
     pub(super) fn of_unknown_side() -> Self {
         Self { mirror_odds: 0.0, ..Self::default() }
     }

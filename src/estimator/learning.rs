@@ -11,11 +11,11 @@
 //!
 //! The bank of the estimate stores A; each model here stores C and S.
 //!
-//! A fall without torques does not reveal a common factor of all masses, payload and friction included. This unobservable direction of
-//! δp must not depend on the estimate; otherwise a linear filter takes its rotation for information (Huang, Mourikis and Roumeliotis, Int.
-//! J. Robotics Research 29 (2010) 502). So the masses are stored as logarithms. For payload and friction, with value b, the error is
-//! ε = δb − b δc, with the mean logarithm c of the masses: a common factor leaves ε at 0. P, Ψ and h refer to these errors. A correction
-//! of b does not change ε: to first order, ε is the error of b/exp(c), which a fall does reveal.
+//! A fall without torques does not reveal a common factor of all masses, payload and friction included. This unobservable direction of δp
+//! must not depend on the estimate; otherwise a linear filter mistakes its rotation for information (Huang, Mourikis and Roumeliotis, Int.
+//! J. Robotics Research 29 (2010) 502). So the masses are stored as logarithms. For payload and friction, with value b, the error is ε = δb
+//! − b δc, with the mean logarithm c of the masses: a common factor leaves ε at 0. P, Ψ and h refer to these errors. A correction of b does
+//! not change ε: to first order, ε is the error of b/exp(c), which a fall does reveal.
 
 use std::ops::Range;
 
@@ -114,7 +114,7 @@ impl Learning {
         Self { values: prior.values, models: [model; MODELS], geometry: false, at_bound: 0, told: 0, within_for: 0.0 }
     }
 
-    /// Restarts all parameters. Bounds already reported stay reported.
+    /// Restarts all parameters. Bounds already reported remain reported.
     pub(super) fn restart_all(&mut self, prior: &Prior) {
         *self = Self { at_bound: self.at_bound & self.told, told: self.told, within_for: self.within_for, ..Self::new(prior) };
     }
@@ -155,8 +155,8 @@ impl Learning {
     }
 
     /// Extra second moments of a quantity due to errors of lengths and mounting angles, in each model. `by_error` is the derivative of the
-    /// quantity by errors of the motion, the other two are derivatives by lengths and mounting angles: the first applies while these are
-    /// learned, the second while they are not, because the encoders then fix the motor angles.
+    /// quantity by errors of the motion. The other two are derivatives by lengths and mounting angles: `by_parameters` applies while
+    /// lengths and mounting angles are learned, `while_held` while they are not, because the encoders then fix the motor angles.
     pub(super) fn added_moments<const R: usize>(
         &self,
         own: &Bank,
@@ -370,13 +370,13 @@ impl Learning {
     /// Measurement update by an expected sample and its covariances with the parameters; call it before the update of the estimate's bank.
     /// If the axis `rests`, parameters keep their values and their uncertainty (Schmidt 1966).
     ///
-    /// Learning would explain unmodelled errors by parameters. So for lengths and mounting angles a sample has extra noise of variance R. It
-    /// represents two errors, each counted once in n = `samples`: an error of standard deviation `unlearned`, rad, that is never learned, and
-    /// the product of mass errors and reading errors due to lengths and mounting angles, `shown`, rad, which a linear filter neglects. If c is
-    /// the covariance with the innovation, the gain is c/(S + R) = (1 − r) c/S. The covariance of lengths and mounting angles decreases by
-    /// (1 − r²) c cᵀ/S (Joseph form), all other covariances as without R. Lengths and mounting angles explain part of an innovation, with
-    /// variance d² in the quietest model. The share of it that is not learned persists, so models are compared as if the sample also had
-    /// the noise n r d².
+    /// Learning would explain unmodelled errors by parameters. So for lengths and mounting angles a sample has extra noise of variance R. R
+    /// represents two errors, each counted once in n = `samples`: an error of standard deviation `unlearned`, rad, that is never learned,
+    /// and the product of mass errors and reading errors due to lengths and mounting angles, `shown`, rad, which a linear filter neglects.
+    /// If c is the covariance with the innovation, the gain is c/(S + R) = (1 − r) c/S. The covariance of lengths and mounting angles
+    /// decreases by (1 − r²) c cᵀ/S (Joseph form), all other covariances as without R. Lengths and mounting angles explain part of an
+    /// innovation, with variance d² in the quietest model. The share of it that is not learned persists, so models are compared as if the
+    /// sample also had the noise n r d².
     pub(super) fn update(
         &mut self,
         expected: &mut Prediction,
@@ -410,9 +410,8 @@ impl Learning {
         }
     }
 
-    /// Values after the next correction. If mean errors lead beyond a bound, they are moved to the bound in each model. All correlated
-    /// errors move too, in this bank and in the bank of the estimate. Covariances do not change (Simon, IET Control Theory and Applications
-    /// 4 (2010) 1303).
+    /// Values after the next correction. Values beyond a bound are moved to the bound in each model. All correlated errors move too, in
+    /// this bank and in the bank of the estimate. Covariances do not change (Simon, IET Control Theory and Applications 4 (2010) 1303).
     pub(super) fn corrected(&mut self, own: &mut Bank, machine: &Machine) -> Learned {
         let (carried, mut values) = (self.carried(), self.with_error(&self.mean(own)));
         for i in 0..LEARNED {
@@ -431,7 +430,7 @@ impl Learning {
                     model.error += with_value * part;
                     member.error += (model.cross.column(i) + cross_with_masses * carried[i]) * part;
                 }
-                // Round-off, or this move, may take values up to i beyond their bounds.
+                // Round-off, or this move, may push values 0 to i beyond their bounds.
                 let moved = self.with_error(&self.mean(own));
                 values = Learned::from_fn(|k, _| {
                     let [least, most] = bounds(k, machine);
@@ -442,7 +441,7 @@ impl Learning {
         values
     }
 
-    /// Follows a correction of the values, and of the motion, which turns its tangent basis.
+    /// Applies a correction of the values, and of the motion, which turns its tangent basis.
     pub(super) fn correct(&mut self, own: &Bank, turn: &Matrix2<f64>, values: Learned) {
         let change = self.error(&(values - self.values));
         for (model, _) in self.models.iter_mut().zip(&own.members).filter(|(_, member)| member.weight > 0.0) {
@@ -570,14 +569,15 @@ mod tests {
     use super::*;
     use crate::estimator::error_state::{Error, PAYLOAD};
 
-    /// Before any sample, standard deviations equal the prior, also for payload and friction, which follow the masses, and after a restart.
+    /// Before any sample, standard deviations equal the prior, also for payload and friction, which grow with the masses, and after a
+    /// restart.
     #[test]
     fn widths_before_any_sample_are_those_of_the_prior() {
         let values = Learned::from_fn(|i, _| if CARRIED.contains(&i) { 0.1 * i as f64 } else { 0.0 });
         let mut prior = Prior { values, sigma: Learned::from_fn(|i, _| if i == PAYLOAD { 0.0 } else { 0.05 + 0.01 * i as f64 }) };
         let bank = Bank::new([1.0; 3]);
         let mut learning = Learning::new(&prior);
-        // Part of the change of the values follows the masses.
+        // A part of the change of the values is due to the change of the masses.
         let some = Learned::from_fn(|i, _| libm::sin((3 * i + 1) as f64));
         let change = learning.with_error(&some) - learning.values;
         let mut moments = Moments { error: some, ..Moments::ZERO };
@@ -585,7 +585,7 @@ mod tests {
         assert!((moments.error - change).amax() < 1e-15 && (learning.error(&change) - some).amax() < 1e-15);
         let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-15, "{a} {b}");
         near(change[DRY], some[DRY] + common(&some));
-        // A known payload does not follow the masses.
+        // A known payload does not grow with the masses.
         near(change[PAYLOAD], some[PAYLOAD]);
         // Tolerance: round-off of variances of up to 0.1.
         let off = |learning: &Learning, prior: &Prior| (learning.sigma(&bank) - prior.sigma).amax();

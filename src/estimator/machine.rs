@@ -57,9 +57,9 @@ pub struct Parameters {
     pub forecast: Bands,
     /// Torque scale of the unknown force, N·m; 0: the torque that carries the machine's weight.
     pub torque_scale: f64,
-    /// Standard deviation of the change of each commanded motor torque within 0.1 s, N·m; 0: it stays.
+    /// Standard deviation of the change of each commanded motor torque within 0.1 s, N·m; 0: constant.
     pub command_scale_tau: [f64; 2],
-    /// Standard deviation of the change of each servo reference within 0.1 s, rad; 0: it stays.
+    /// Standard deviation of the change of each servo reference within 0.1 s, rad; 0: constant.
     pub command_scale_theta: [f64; 2],
     /// Mean time before a model of the bank is replaced, s.
     pub switch_time: f64,
@@ -68,7 +68,7 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// Takes lengths and encoders as exact.
+    /// Configures lengths and encoders as exact.
     pub fn take_geometry_as_exact(&mut self) {
         (self.sigma0_length, self.sigma0_offset) = (0.0, 0.0);
         (self.sigma0_eccentricity, self.sigma0_scale) = (0.0, 0.0);
@@ -169,7 +169,7 @@ impl Machine {
         self.nominal[i]
     }
 
-    /// Takes over the learned lengths; returns whether they have changed.
+    /// Applies the learned lengths; returns whether they have changed.
     pub fn learn(&mut self, learned: &Learned) -> bool {
         let before = self.geometry;
         set_lengths(&mut self.geometry, |i, _| self.nominal[i] + learned[LENGTHS.start + i]);

@@ -7,7 +7,7 @@
 //! | `flow.rs`, `propagation.rs` | motion and transition by a scene's equations; process noise |
 //! | `belief.rs` | unknown force; Kalman filter of each model, and their mixture |
 //! | `filter.rs` | the joint filter: motion and force in `belief.rs`, parameters in `learning.rs` |
-//! | `learning.rs` | masses, friction, lengths and mounting angles: parameters that follow the errors |
+//! | `learning.rs` | parameters that the estimator learns: masses, friction, lengths and mounting angles |
 //! | `encoder.rs`, `trust.rs`, `quantiser.rs`, `history.rs` | samples: validity, trust, noise, intervals, delay |
 //! | `hypotheses.rs` | the open question about the branch, and the motions that are its possible answers |
 //! | `unaided.rs` | the estimate without an encoder that repeats its reading |
@@ -89,7 +89,7 @@ pub enum Status {
     Coasting,
     /// Too close to a vertex to know the branch: samples are not used.
     Holding,
-    /// Several motions are followed: the assembly of the start is in doubt, or a singularity was passed.
+    /// Several motions are tracked: the assembly of the start is in doubt, or a singularity was passed.
     TwoBranches,
     /// One encoder is silent; the other is used.
     OneEncoder,
@@ -268,7 +268,7 @@ impl Estimator {
         self.doubt.follow(&error, &turn);
     }
 
-    /// Compares the other motions, if any are followed, with the samples that were used. The first samples of both encoders open the doubt
+    /// Compares the other motions, if any are tracked, with the samples that were used. The first samples of both encoders open the doubt
     /// about the start.
     fn judge_motions(&mut self, machine: &Machine, estimate: &mut Estimated, residuals: &[Residual; 2]) {
         if self.hypotheses.are_open() || self.hypotheses.are_quiet() || self.doubt.is_open() {
@@ -637,7 +637,7 @@ impl Estimator {
         self.history.step((from, &frame), &step.f, h, parameters.max_delay);
         // Mass errors are observable through quantisation intervals, which confine the angles; white noise hides them.
         let observable = if self.has_intervals(parameters) { inertia } else { 0.0 };
-        // Without samples the models are not mixed, because a quantile of their mixture shows more than a covariance. The unknown force
+        // Without samples the models are not mixed, because a quantile of their mixture tells more than a covariance. The unknown force
         // changes as the machine moves, and mass errors act that no sample has revealed yet.
         let force = self.filter.belief.tangent_force(&frame);
         let unrevealed = if self.filter.learns() { 0.0 } else { inertia };
@@ -767,7 +767,7 @@ impl Estimator {
         self.filter.learns() || self.causes.are_judged() || self.doubt.is_open()
     }
 
-    /// Most probable cause of the last alarm or fault, and its probability, which is 1 if the samples of an encoder themselves show it.
+    /// Most probable cause of the last alarm or fault, and its probability, which is 1 if the samples of an encoder alone prove the cause.
     pub fn cause(&self, machine: &Machine) -> (Cause, f64) {
         let first = |is: &dyn Fn(&Encoder) -> bool| self.encoders.iter().position(is);
         if first(&|encoder| matches!(encoder.fault, Fault::Late | Fault::Future)).is_some() {

@@ -127,7 +127,7 @@ fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Trans
     f
 }
 
-/// Transition matrix if the forces are unknown: angles follow the rates.
+/// Transition matrix if the forces are unknown: rates are constant.
 fn straight(from: &Frame, to: &Frame, h: f64) -> Transition {
     let turn = from.basis_map_to(to);
     let mut f = Transition::identity();

@@ -32,7 +32,7 @@ pub(super) enum Event {
     Returned,
     /// The encoder is back after such a long silence that it counts as new.
     Renewed,
-    /// The first samples show that the encoders are swapped; innovation, rad.
+    /// The first samples reveal that the encoders are swapped; innovation, rad.
     Exchanged(f64),
 }
 

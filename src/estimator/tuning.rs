@@ -121,7 +121,7 @@ pub(super) const LARGEST_GROWTH: f64 = 1e100;
 
 /// Smallest singular value of J over the mean length below which the branches of a vertex are indistinguishable.
 pub(super) const NEAR_VERTEX: f64 = 0.03;
-/// Largest error, rad, by which motors are turned exactly; an estimate that is further off is lost. If a lost estimate still followed the
+/// Largest error, rad, by which motors are turned exactly; an estimate that is further off is lost. If a lost estimate still tracked the
 /// readings, the machine would be found after 0.22 s in place of 0.2 s (`a_lost_machine_is_found_again`). With 0.5 rad, wrong starts seem
 /// to turn at 25 rad/s (`a_start_that_is_off_is_no_motion`).
 pub(super) const LARGEST_CHARTED_ERROR: f64 = 1.0;
@@ -185,7 +185,7 @@ pub(super) const ERROR_ALONE: f64 = 2e-3;
 /// Time in which [`ERROR_ALONE`] also counts once as noise, s, because model errors are not constant. With the persistent error alone, 11
 /// of 40 falls by 0.1° with a frozen encoder are beyond their bands in place of 1 (`--part 2 --seeds 1510000000`).
 pub(super) const TIME_ALONE: f64 = 0.1;
-/// Standard deviation of an angle beyond which one encoder alone does not follow the machine, rad: the reading is no longer linear in the
+/// Standard deviation of an angle beyond which one encoder alone cannot track the machine, rad: the reading is no longer linear in the
 /// errors. With 0.2 rad 46 of 200 falls with one encoder are given up or lost, with 0.4 rad as many as without a limit. Without a limit 18
 /// of 200 falls by 0.1° with a frozen encoder are beyond their bands in place of 6 (`--part 10 --seeds 1490000000`).
 pub(super) const LARGEST_SIGMA_ALONE: f64 = 0.4;
@@ -292,9 +292,9 @@ pub(super) const IMMEDIATE_EVIDENCE: f64 = 15.0;
 pub(super) const START_DISTANCE: f64 = 0.05;
 /// Lateral offset at which turning hypotheses start, rad: their direction hardly depends on it.
 pub(super) const LATERAL_OFFSET: f64 = 5e-3;
-/// Runge–Kutta steps of a turning hypothesis, there and back.
+/// Runge–Kutta steps of a turning hypothesis, backward and forward.
 pub(super) const TURNING_STEPS: u32 = 128;
-/// Change of a rate in a step, relative to the fastest rate, that shows that the motion turned in a vertex.
+/// Change of a rate in a step, relative to the fastest rate, that reveals a turn of the motion in a vertex.
 pub(super) const LEAST_RATE_CHANGE: f64 = 0.3;
 /// Rate below which a machine next to a vertex counts as at rest, rad/s.
 pub(super) const REST_RATE: f64 = 0.05;
@@ -312,7 +312,7 @@ pub(super) const LEAST_INITIAL_ODDS: f64 = -10.0;
 pub(super) const LARGEST_ODDS_AFTER_CROSSING: f64 = -4.0;
 /// Log-likelihood of the other side far from direct singularities.
 pub(super) const NEGLIGIBLE_ODDS: f64 = -1e3;
-/// Innovation that shows that the machine is lost, rad.
+/// Innovation above which the machine counts as lost, rad.
 pub(super) const DIVERGED_INNOVATION: f64 = 0.1;
 /// Accumulated time of diverged samples after which the estimate restarts, s.
 pub(super) const DIVERGENCE_TIME: f64 = 0.1;
@@ -339,7 +339,7 @@ pub(super) const VIOLENCE_PERSISTS: f64 = 0.03;
 /// Alarm in violent motion: log-evidence of another cause over wrong masses that an alarm needs. With 5, twice as many falls raise a false
 /// alarm.
 pub(super) const BEYOND_MASSES: f64 = 8.0;
-/// Time constant with which the reference force follows, s: slower drift raises no alarm.
+/// Time constant of the reference force, s: slower drift raises no alarm.
 pub(super) const REFERENCE_TIME_CONSTANT: f64 = 0.3;
 /// Duration of an alarm, s.
 pub(super) const ALARM_DURATION: f64 = 0.1;
@@ -385,5 +385,5 @@ pub(super) struct Sizes {
     /// Logarithm of the factor of dry friction.
     pub(super) friction: f64,
 }
-/// Sizes of faults, of the order that raises an alarm. With 0.1 for masses as many causes are named.
+/// Sizes of faults, of the order that raises an alarm. With 0.1 for masses the same number of causes is named.
 pub(super) const SIZES: Sizes = Sizes { torque: 1.0, jump: 0.1, delay: 5e-3, mass: 0.05, rate: 10.0, friction: 1.0 };

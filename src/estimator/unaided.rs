@@ -1,4 +1,4 @@
-//! Estimate without an encoder that repeats its reading: decides whether the reading could have stayed constant.
+//! Estimate without an encoder that repeats its reading: decides whether the reading could have remained constant.
 //!
 //! The errors of this second bank are relative to the motion of the estimate and change with it. Only samples of the other encoder correct
 //! them.
@@ -73,7 +73,7 @@ impl Unaided {
         }
     }
 
-    /// Follows a correction of the motion by an error that turns its tangent basis.
+    /// Applies a correction of the motion by an error that turns its tangent basis.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
         if let Some(bank) = &mut self.bank {
             bank.subtract_mean(error);
@@ -82,7 +82,7 @@ impl Unaided {
     }
 
     /// Time update by h seconds as in the estimate's bank. The unknown force changes as in a forecast, because one encoder does not
-    /// determine it. Ends if the other encoder is absent, because then nothing shows how far the axis turns.
+    /// determine it. Ends if the other encoder is absent, because then nothing reveals how far the axis turns.
     pub(super) fn predict(
         &mut self,
         (step, noise): (&Propagation, &ProcessNoise),

@@ -1,4 +1,4 @@
-//! Witness: a Kalman filter beside the estimate that assumes no fault; its innovations show the evidence for each fault.
+//! Witness: a Kalman filter beside the estimate that assumes no fault; its innovations give the evidence for each fault.
 //!
 //! A fault of constant size u adds a known response G u to its innovations r, because the filter is linear (Friedland, IEEE Trans. Automatic
 //! Control 14 (1969) 359; Willsky and Jones, 21 (1976) 108):
@@ -10,7 +10,7 @@
 //! B is the effect of torques, tip forces, parameters and delays, D the effect of encoder faults. Sums of GᵀG/S and G r/S give the
 //! evidence of each explanation, with its size integrated over the prior: an explanation with more degrees of freedom is penalised.
 //!
-//! Samples that are late by d show the motion of d seconds ago, driven by the inputs of that time. So B is minus the rate of the
+//! Samples that are late by d measure the motion of d seconds ago, driven by the inputs of that time. So B is minus the rate of the
 //! accelerations due to the inputs. When samples start to be late, V starts with minus the rates and accelerations of the motion.
 
 use std::ops::Range;
@@ -110,14 +110,14 @@ impl Witness {
         self.is_finite() && is_covariance(&self.covariance) && [self.squares, self.samples].iter().all(|x| *x >= 0.0)
     }
 
-    /// From now on samples are late: the motion that they show lags behind by its rates, rad/s, or its accelerations, rad/s², on the tangent
-    /// basis.
+    /// From now on samples are late: the motion that they measure lags behind by its rates, rad/s, or its accelerations, rad/s², on the
+    /// tangent basis.
     pub(super) fn stand_back(&mut self, first: usize, by: &Pair) {
         let mut of = self.responses.fixed_view_mut::<2, 1>(first, DELAY);
         of -= by;
     }
 
-    /// Follows a correction of the motion by an error that turns its tangent basis.
+    /// Applies a correction of the motion by an error that turns its tangent basis.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
         self.error -= error;
         turn_errors(turn, &mut self.error);
