@@ -1,4 +1,4 @@
-//! Copies of large values without another one on the stack.
+//! Copies of large values without a second value on the stack.
 
 /// Implements `Clone` such that `clone_from` copies field by field, in place.
 macro_rules! clone_by_fields {

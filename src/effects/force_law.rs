@@ -12,7 +12,7 @@ use crate::hybrid::Kinks;
 /// Account of the energy balance for the power of a joint law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PowerFlow {
-    /// Taken from the law's potential.
+    /// Change of the law's potential.
     Stored,
     /// Supplied from outside the mechanism.
     Supplied,

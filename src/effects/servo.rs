@@ -67,7 +67,7 @@ impl Servo {
         self.relative_torques(joints).map(|relative_torque| (1.0 - relative_torque * relative_torque) / joints.softening)
     }
 
-    /// Slopes of the joints from these derivatives.
+    /// Slopes of the joints from the derivatives of [`Self::openness`].
     fn slopes_at(&self, openness: [f64; 2]) -> [[f64; 2]; JOINTS] {
         let mut slopes = [[0.0; 2]; JOINTS];
         for (i, joint) in MOTOR_ANGLES.into_iter().enumerate() {

@@ -28,7 +28,7 @@ pub extern "C" fn fmi2GetVersion() -> fmi2String {
 }
 
 /// Creates an instance (section 2.1.5). Returns null with a log message for a missing name, an unknown type or a wrong GUID. Only an FMU
-/// with start values of its own reads its resources; nothing is shown.
+/// with start values of its own reads its resources; nothing is displayed.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -98,7 +98,7 @@ fn check_kind(name: &CStr, kind: fmi2Type) -> Result<(), CallError> {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fmi2FreeInstance(c: fmi2Component) {
     if !c.is_null() {
-        // SAFETY: the caller vouches that it comes from fmi2Instantiate, which leaked a box, and is not used again.
+        // SAFETY: the caller vouches that the component comes from fmi2Instantiate, which leaked a box, and is not used again.
         drop(unsafe { Box::from_raw(c.cast::<Component>()) });
     }
 }

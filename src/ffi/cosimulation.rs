@@ -4,7 +4,7 @@ use super::function::functions;
 use super::types::{fmi2Boolean, fmi2Integer, fmi2Real, fmi2Status, fmi2StatusKind, fmi2String};
 
 functions! {
-    /// Takes one communication step (section 4.2.2). Stored states belong to the master, so the last argument is ignored.
+    /// Makes one communication step (section 4.2.2). Stored states belong to the master, so the last argument is ignored.
     fmi2DoStep(
         currentCommunicationPoint: fmi2Real,
         communicationStepSize: fmi2Real,

@@ -1,4 +1,4 @@
-//! Path of the file that contains this library. It shows where the archive was unpacked.
+//! Path of the file that contains this library. It reveals where the archive was unpacked.
 
 use std::path::PathBuf;
 

@@ -45,12 +45,12 @@ functions! {
         if let Some(state) = unsafe { FMUstate.as_mut() }
             && !state.is_null()
         {
-            // SAFETY: the caller vouches that it comes from `store`, which leaked a box, and is not used again.
+            // SAFETY: the caller vouches that the state comes from `store`, which leaked a box, and is not used again.
             drop(unsafe { Box::from_raw(state.cast::<Snapshot>()) });
             *state = null_mut();
         }
     };
-    /// Returns the number of bytes that the serialised state takes.
+    /// Returns the number of bytes of the serialised state.
     fmi2SerializedFMUstateSize(FMUstate: fmi2FMUstate, size: [out size_t]) |_instance| {
         // SAFETY: the caller vouches for the state.
         size.write(unsafe { stored(FMUstate) }?.to_bytes()?.len());

@@ -32,7 +32,7 @@ pub struct Clock {
     stop: Option<f64>,
 }
 
-/// One communication step, ready to be taken.
+/// A planned communication step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
     /// Macro step, s.

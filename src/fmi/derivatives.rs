@@ -59,7 +59,7 @@ impl Instance {
     /// outputs and the derivatives of continuous states, which share the references of omega and alpha. Knowns are inputs and continuous
     /// states, passed as (reference, change). Refused unless every reference is right and every value is finite.
     ///
-    /// During a run, no unknown changes at once with a servo reference that acts after `servo.delay`.
+    /// During a run with `servo.delay`, servo references have no immediate effect, so the derivatives with respect to them are 0.
     ///
     /// Beyond the standard, local variables may be unknowns as well. Enumerations, counters, work and `solver.*` have derivative 0.
     pub fn directional_derivative(
@@ -81,7 +81,7 @@ impl Instance {
         let observed = self.observe()?;
         let (model, observation) = (observed.model(), observed.observation());
         if is_running && model.command_delay > 0.0 {
-            // References that are set now act later; those of the start act at once.
+            // After the start, a new reference acts only after the delay.
             direction.inputs = direction.inputs.with_references(&Inputs::default());
         }
         let along = observation.state().varied(model, &direction)?;

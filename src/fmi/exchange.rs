@@ -13,7 +13,7 @@ use crate::observers::{INDICATORS, Observed};
 use crate::simulation::{STATES, Simulation};
 use crate::variables::{CONTINUOUS_STATES, EVENT_INDICATORS};
 
-const _: () = assert!(INDICATORS == EVENT_INDICATORS, "numberOfEventIndicators of the model description is another one");
+const _: () = assert!(INDICATORS == EVENT_INDICATORS, "numberOfEventIndicators of the model description differs from INDICATORS");
 
 impl Instance {
     /// fmi2SetTime, s; refuses a time that is not finite.

@@ -1,4 +1,4 @@
-//! Warnings of a communication step in a followed scene: encoder faults, restarts of the estimate, and learned values at a bound.
+//! Warnings of a communication step in a scene with an estimator: encoder faults, restarts of the estimate, and learned values at a bound.
 
 use crate::estimator::Fault;
 use crate::estimator::error_state::{DRY, LENGTHS, MASSES, OFFSETS};
@@ -9,7 +9,7 @@ use crate::simulation::{Following, NEARLY_IN_PAIRS};
 pub(super) fn warnings(following: &mut Following, restarted: bool, point: f64) -> Vec<String> {
     let faults = following.take_reports();
     let mut warnings: Vec<String> = faults.into_iter().map(|(encoder, fault)| fault_message(encoder, fault, point)).collect();
-    // `has_restarted` stays true until the next samples.
+    // `has_restarted` remains true until the next samples.
     if following.estimator().has_restarted() && !restarted {
         warnings.push(format!(
             "at {point:?} s: measured.theta[1..2] differed from the estimate by more than 0.1 rad for most of 0.1 s: the estimate \
@@ -29,7 +29,7 @@ pub(super) fn unlearned_lengths(following: &Following) -> Option<String> {
     (parameters.estimator.learn_enabled && sigma > 0.0 && !parameters.learns_lengths()).then(|| {
         let [pair, base] = NEARLY_IN_PAIRS.map(|times| times * sigma);
         format!(
-            "link[i].length and base.distance are not learned, but stay uncertain by estimator.sigma0.length = {sigma:?} m: base.distance = {:?} m is \
+            "link[i].length and base.distance are not learned, but remain uncertain by estimator.sigma0.length = {sigma:?} m: base.distance = {:?} m is \
              at most {base:?} m, and the lengths are equal in pairs to {pair:?} m, so that their errors decide how the machine leaves a posture with all \
              links in line.",
             parameters.geometry.base_distance
@@ -46,8 +46,8 @@ fn bound_message((parameter, value, [least, most]): (usize, f64, [f64; 2]), time
         _ => (format!("estimated.offset[{}]", parameter - OFFSETS.start + 1), " rad"),
     };
     format!(
-        "at {time:?} s: {name} = {value:?}{unit} has been moved to its bound, {least:?} to {most:?}{unit} being allowed: the machine is not the one \
-         that was described, or has something that is not modelled. This warning comes again only after all values have been within their bounds for 1 s."
+        "at {time:?} s: {name} = {value:?}{unit} has been moved to its bound (allowed: {least:?} to {most:?}{unit}): the machine differs \
+         from its description, or has an effect that is not modelled. This warning comes again only after all values have been within their bounds for 1 s."
     )
 }
 

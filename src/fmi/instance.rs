@@ -90,7 +90,7 @@ impl Instance {
                 return Err(CallError::error(format!("tolerance is {tolerance}, must not be negative.")));
             }
             self.log.push(Status::Ok, || {
-                format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used, solver.errorTolerance is.")
+                format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used; solver.errorTolerance sets the accuracy.")
             });
         }
         self.change().clock = Some(clock);
@@ -185,7 +185,7 @@ impl Instance {
         self.log.push(Status::Ok, || "terminated".to_owned());
     }
 
-    /// fmi2Reset: the state after fmi2Instantiate. Only the master's choice of log categories stays.
+    /// fmi2Reset: the state after fmi2Instantiate. Only the master's choice of log categories remains.
     pub fn reset(&mut self) {
         let fresh = Self::new(self.now.kind, false);
         let Self { unit, log, .. } = std::mem::replace(self, fresh);

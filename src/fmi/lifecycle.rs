@@ -31,7 +31,7 @@
 //! ```
 //!
 //! FMI's states stepInProgress and stepCanceled do not exist here, because a step is never pending. Nor does the state error: a refused
-//! call changes nothing, so the instance stays in its state.
+//! call changes nothing, so the instance remains in its state.
 
 use std::fmt;
 
@@ -44,7 +44,7 @@ use super::CallError;
 pub enum Kind {
     /// Model exchange: the master integrates the states.
     ModelExchange,
-    /// Co-simulation: the instance takes its own steps.
+    /// Co-simulation: the instance makes its own steps.
     CoSimulation,
 }
 

@@ -14,7 +14,7 @@
 //! | `instance.rs` | an instance: all of these together |
 //! | `snapshot.rs`, `stored.rs` | a copy of an instance to go back to, and its bytes |
 //! | `stepping.rs` | a communication step |
-//! | `following.rs` | warnings of a communication step in a followed scene |
+//! | `following.rs` | warnings of a communication step in a scene with an estimator |
 //! | `status.rs` | the status functions of co-simulation |
 
 pub mod clock;

@@ -87,7 +87,7 @@ impl Unit {
             return Err(format!("fmuGUID is {wanted}, these start values belong to the unit {name} with {guid}"));
         }
         if *library != GUID {
-            return Err(format!("the unit {name} was made for the library {library}, this one is {GUID}: make it again"));
+            return Err(format!("the unit {name} was made for the library {library}, this library is {GUID}: make the unit again"));
         }
         let guid = guid.as_bytes().try_into().map_err(|_| format!("guid = \"{guid}\" must be a UUID in braces"))?;
         let mut unit = Self { guid, starts: Vec::new() };

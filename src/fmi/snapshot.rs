@@ -83,7 +83,7 @@ impl Scene {
             (Kind::ModelExchange, false) => boxed(|| Simulation::for_model_exchange(parameters, inputs)).map(Self::Ready),
             (Kind::ModelExchange, true) => Err(SceneError(
                 "estimator.enabled = true is not allowed in model exchange, whose states are the master's: it must be false, or the unit \
-                 instantiated for co-simulation."
+                 must be instantiated for co-simulation."
                     .to_owned(),
             )),
         }
@@ -105,7 +105,7 @@ impl Scene {
         }
     }
 
-    /// The scene with its estimator, if a machine is followed.
+    /// The scene with its estimator, if a machine is tracked.
     pub(super) fn following(&self) -> Option<&Following> {
         if let Self::Following(following) = self { Some(following) } else { None }
     }

@@ -108,8 +108,8 @@ impl Instance {
             let Settings { method, step_size, .. } = simulation.parameters().settings;
             self.log.push(Status::Warning, || {
                 format!(
-                    "at {time:?} s: a step of solver.method {} failed its checks: it changed the energy by 1 % without a force, or a \
-                     determinant's sign away from its singularity. solver.stepSize = {step_size:?} s is too long for this motion.",
+                    "at {time:?} s: a step of solver.method {} failed its checks: it changed the energy by 1 % without a force, or changed \
+                     the sign of a determinant away from its singularity. solver.stepSize = {step_size:?} s is too long for this motion.",
                     method.name()
                 )
             });

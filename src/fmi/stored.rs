@@ -10,9 +10,9 @@
 //! 58 + n      4  Adler-32 of all before it
 //! ```
 //!
-//! `Followed` comes after `Content` if samples have been set or a machine is followed; otherwise the file ends with `Content`.
-//! Numbers are little-endian, reals IEEE 754 doubles; there are no pointers, and nothing depends on the process or the platform.
-//! Parameters are stored as values of variables, so that restored values pass the same checks as values set by a master.
+//! `Followed` comes after `Content` if samples have been set or a machine is tracked; otherwise the file ends with `Content`. Numbers are
+//! little-endian, reals IEEE 754 doubles; there are no pointers, and nothing depends on the process or the platform. Parameters are stored
+//! as values of variables, so that restored values pass the same checks as values set by a master.
 
 use std::io::{self, Read, Write};
 

@@ -153,8 +153,8 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         }
         if stick_slip.at_rest() || stick_slip.at(TIP_FRICTION).sticks() {
             return Err(SceneError(
-                "the tip sticks or friction locks the machine: derivatives are available only where joints alone stick and the \
-                 machine can move."
+                "the tip sticks or friction locks the machine: derivatives are available only if the tip does not stick \
+                 and the machine can move."
                     .into(),
             ));
         }

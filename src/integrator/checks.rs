@@ -106,7 +106,7 @@ impl Beginning {
         if to.configuration_signs != self.configuration_signs {
             check_signs(system, to, to.configuration_signs ^ self.configuration_signs, (self.rates, h))?;
         }
-        // If the end determines no branch, it keeps the one of the beginning.
+        // If the end determines no branch, the branch of the beginning is kept.
         if to.branch == self.branch || self.branch.is_none() { Ok(()) } else { Err(StepError::BranchChange) }
     }
 }

@@ -44,7 +44,7 @@ pub(super) struct Convergence {
     violation: f64,
     /// Last correction, m or rad.
     correction: f64,
-    /// Ratio of the last correction to the one before.
+    /// Ratio of the last correction to the correction before.
     rate: f64,
 }
 

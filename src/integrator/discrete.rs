@@ -78,7 +78,7 @@ pub trait CutStep<const N: usize, const M: usize, const K: usize> {
     fn factor(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Self::Factor;
     /// Unknowns after a Newton increment with the matrix of this or a nearby motion.
     fn newton_update(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Vector<K>;
-    /// Newton increment of the unknowns with the whole tangent; e only weighs it.
+    /// Newton increment of the unknowns with the whole tangent; e only weights it.
     fn whole_correction(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Vector<K>;
     /// Motion with rates and Λ after a Newton increment, at unchanged d.
     fn with_rates(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Motion;

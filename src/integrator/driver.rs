@@ -3,7 +3,8 @@
 //!
 //! | state of a step | what happens | leads to |
 //! | --- | --- | --- |
-//! | begin | the mode follows all transitions that are due; vertices are looked for; the step is planned | try, or the end: at rest, past a vertex |
+//! | begin | the mode makes all transitions that are due; vertices are looked for; the step is planned | try, or the end: at rest, past a
+//! vertex |
 //! | try | the method makes a trial; the locator looks for events on its dense output | accept, end at an event, a shorter trial |
 //! | end at an event | the step is tried up to the event; if the event is at its beginning, the step begins again in the next mode | try, begin |
 //! | accept | the method accepts the trial; its next step is as long as error and events allow | the end |
@@ -57,7 +58,7 @@ pub(super) trait Method<const N: usize, const M: usize, S: Mechanics<N, M>> {
     fn longest(&self) -> f64;
     /// Changes the mode and evaluates forces and accelerations again in it.
     fn enter(&mut self, system: &S, mode: S::Mode);
-    /// Stays at rest over the longest step.
+    /// Remains at rest over the longest step.
     fn rest(&mut self);
     /// Moves to the end of a transit.
     fn pass(&mut self, system: &S, transit: &Transit<N>) -> Result<(), StepError>;

@@ -102,8 +102,8 @@ impl fmt::Display for StepError {
                 DETERMINANTS[*determinant]
             ),
             Self::BranchChange => f.write_str(
-                "the motion left its branch of the closure (motors coaxial, links equal in pairs), which it cannot: solver.method \
-                 automatic stays on it",
+                "the motion left its branch of the closure (motors coaxial, links equal in pairs), which a machine cannot do: solver.method \
+                 automatic keeps the branch",
             ),
             Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
             Self::StepTooShort { substep, error } => {

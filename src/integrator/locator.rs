@@ -318,7 +318,7 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
                 if after - before <= f64::EPSILON {
                     break;
                 }
-                // If the same end stays twice in a row, its residual is reduced.
+                // If the same end is kept twice in a row, its residual is reduced.
                 let is_past = here > 0.0;
                 let (value, opposite) = if is_past { (high, &mut low) } else { (low, &mut high) };
                 if last_was_positive == Some(is_past) {

@@ -117,7 +117,7 @@ fn rounded(value: f64) -> f64 {
 ///
 /// Regular postures have exactly one solution. At a direct singularity (distal links in line) the velocity of the tip across the line is
 /// undetermined and is set to 0. With all links on one line (a vertex of the configuration space) the distal rates solve the quadratic
-/// equation of the tangent cone; of its roots, the one that moves the tip to the side of the assembly mode is taken.
+/// equation of the tangent cone; of its roots, the root that moves the tip to the side of the assembly mode is used.
 ///
 /// Refused: elbows that the distal links cannot join or that coincide, and rates at a direct singularity or at a vertex for which no distal
 /// rates keep the loop closed.
@@ -160,8 +160,8 @@ pub fn links_from_proximal(geometry: &Geometry, start: &Start) -> Result<[[f64; 
 pub fn check_direct_singularity(sine: f64) -> Result<(), SceneError> {
     if sine.abs() < LEAST_SINE {
         return Err(SceneError(format!(
-            "|singular.detJx|/(link[2].length link[3].length) = {:e} is not allowed here: it must be at least {LEAST_SINE:e}, the distal links \
-             are in line and theta, omega are no coordinates.",
+            "|singular.detJx|/(link[2].length link[3].length) = {:e} is not allowed here: it must be at least {LEAST_SINE:e}, because \
+             otherwise the distal links are in line and theta, omega are no coordinates.",
             sine.abs()
         )));
     }

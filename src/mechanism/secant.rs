@@ -46,7 +46,7 @@ fn large(angle: Legs) -> [Legs; 3] {
     let (sin, cos) = sin_cos(angle);
     let exact = Legs::new([0, 1].map(|leg| {
         let (sin, angle) = (sin.to_array()[leg], angle.to_array()[leg]);
-        // If only one angle is small, it takes the series too, as in [`small`].
+        // If only one angle is small, it also uses the series, as in [`small`].
         if angle.abs() < 0.25 { small(both(angle))[2].to_array()[0] } else { sin / angle }
     }));
     [cos, sin, exact]

@@ -52,7 +52,7 @@ fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULT
                     continue;
                 }
                 are_orthogonal = false;
-                // Two angles make the rows orthogonal; the smaller one is taken.
+                // Two angles make the rows orthogonal; the smaller one is used.
                 let cotangent_of_twice = (yy - xx) / (2.0 * xy);
                 let tangent = 1.0_f64.copysign(cotangent_of_twice)
                     / (cotangent_of_twice.abs() + (1.0 + cotangent_of_twice * cotangent_of_twice).sqrt());
@@ -74,8 +74,8 @@ fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULT
     })
 }
 
-/// Smallest singular value of the matrix with these rows, accurate to the round-off of the largest. It takes some 50,000 instructions less
-/// than all values with their vectors.
+/// Smallest singular value of the matrix with these rows, accurate to the round-off of the largest. This takes some 50,000 instructions
+/// less than all values with their vectors.
 ///
 /// Householder reflections from both sides give a bidiagonal matrix (Golub and Van Loan, Matrix Computations, third edition, section
 /// 5.4.3). Its elements, with a zero diagonal, form a tridiagonal matrix with the eigenvalues ±σ. Bisection counts the eigenvalues below a

@@ -88,7 +88,7 @@ impl<T: Scalar> Observed<'_, T> {
         self.observation
     }
 
-    /// The estimates, if a machine is followed.
+    /// The estimates, if a machine is tracked.
     pub fn estimated(&self) -> Option<Estimated<'_>> {
         self.following.map(|following| Estimated { following, observation: self.observation })
     }

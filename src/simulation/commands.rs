@@ -32,7 +32,7 @@ const ROUND_OFF: f64 = 1e-6;
 /// A command that does not act yet.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Command {
-    /// Time until it acts, s.
+    /// Time until the command acts, s.
     due: f64,
     /// References from then on; loads are 0.
     references: Signal,
@@ -43,7 +43,7 @@ struct Command {
 pub(super) struct Commands {
     /// References that act; loads are 0.
     acting: Signal,
-    /// Time since they began to act, s.
+    /// Time since these references began to act, s.
     age: f64,
     /// Commands that do not act yet, in the order of their times.
     waiting: VecDeque<Command>,
@@ -52,7 +52,7 @@ pub(super) struct Commands {
     before: VecDeque<Command>,
 }
 
-/// Compares what is stored.
+/// Compares the stored fields.
 impl PartialEq for Commands {
     fn eq(&self, other: &Self) -> bool {
         let Self { acting, age, waiting, before: _ } = self;
@@ -89,7 +89,7 @@ impl fmt::Display for TooManyCommands {
         let (most, Delay { time, step }) = (self.delay.room(), self.delay);
         write!(
             f,
-            "servo.theta or servo.omega have changed more than {most} times within servo.delay = {time:?} s, the most that is allowed with \
+            "servo.theta or servo.omega have changed more than {most} times within servo.delay = {time:?} s, the limit for \
              solver.stepSize = {step:?} s: they must change less often"
         )
     }

@@ -75,7 +75,7 @@ impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
         })
     }
 
-    #[expect(clippy::misnamed_getters, reason = "the regularisation of the twelve coordinates is another one")]
+    #[expect(clippy::misnamed_getters, reason = "the twelve coordinates have another regularisation")]
     fn regularization(&self) -> f64 {
         self.model().regularization_by_angles
     }

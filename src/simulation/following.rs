@@ -254,7 +254,7 @@ impl Following {
         [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]]
     }
 
-    /// Radius around the tip, m, that contains it with a probability of 95 %.
+    /// Radius about the estimated tip, m, that contains the true tip with a probability of 95 %.
     pub fn tip_radius(&self) -> f64 {
         self.estimate.estimator.tip_radius(&self.believed, &self.motion())
     }

@@ -55,7 +55,7 @@ pub(super) fn with_unknown_force(inputs: &Inputs, force: &Links) -> Inputs {
 /// Length step of the differences, m: with links of 0.1 m, round-off adds a relative error of 1e-8 to the derivatives.
 const LONGER: f64 = 1e-8;
 
-/// A model under constant inputs; unknown forces are added to them.
+/// A model under constant inputs; unknown forces are added to the inputs.
 #[derive(Clone, Copy, Debug)]
 pub struct FollowedScene<'a> {
     /// Model with its effects.

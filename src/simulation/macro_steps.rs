@@ -1,4 +1,4 @@
-//! Macro steps that a run is asked for, and the failure of one.
+//! A request for macro steps, and the failure of a macro step.
 
 use std::fmt;
 
@@ -17,7 +17,7 @@ pub struct StepFailure {
 /// Cause of a failed advance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cause {
-    /// The integrator could not take a step.
+    /// The integrator could not make a step.
     Step(StepError),
     /// More commands wait for their effect than there is room for.
     Commands(TooManyCommands),

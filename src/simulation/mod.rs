@@ -307,12 +307,12 @@ fn refuse_in_model_exchange(parameters: &Parameters) -> Result<(), SceneError> {
     if delay > 0.0 {
         return Err(SceneError(format!(
             "servo.delay = {delay:?} s is not allowed in model exchange, whose master may try times in any order: it must be 0, or the unit \
-             instantiated for co-simulation."
+             must be instantiated for co-simulation."
         )));
     }
     let Some(name) = sticking_law(&parameters.effects) else { return Ok(()) };
     Err(SceneError(format!(
         "{name} = stick is not allowed in model exchange, whose master does not know which joints stick: it must be smooth, or the \
-         unit instantiated for co-simulation."
+         unit must be instantiated for co-simulation."
     )))
 }

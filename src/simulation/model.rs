@@ -225,7 +225,7 @@ fn inertia_ratio_refusal(in_force: &effects::Parameters, tuned: &Parameters) -> 
     let side = if wanted > taken { "at most" } else { "at least" };
     SceneError(format!(
         "payload.mass = {wanted:?} kg is not allowed during this run: it must be {side} {taken:.6} kg, the limit of the linear solver \
-         chosen at its start for the ratio of the links' inertias."
+         chosen at the start of the run for the ratio of the links' inertias."
     ))
 }
 

@@ -189,7 +189,7 @@ impl Run {
         }
         let present = tuned.state(before, &self.inputs);
         let (motion, work) = discontinuity(&present, before, after, join);
-        // The method is the same, so this cannot fail.
+        // The method is the same, so the configuration cannot fail.
         let _ = tuned.configure(after);
         tuned.resume(after, motion, work);
         Ok(tuned)
@@ -225,7 +225,7 @@ trait ByMacroSteps: Copy {
     /// Continues with other inputs.
     fn change(&mut self, model: &Model, held: (&Inputs, &[i64; 4]));
 
-    /// Takes one macro step of h seconds. A failure leaves the state undefined.
+    /// Makes one macro step of h seconds. A failure leaves the state undefined.
     fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError>;
 
     /// Coordinates, without the whole turns, which are counted separately, and counters.

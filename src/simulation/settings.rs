@@ -34,7 +34,7 @@ pub struct Settings {
     pub penalty: f64,
     /// Penalty scale κ of the default method, dimensionless.
     pub penalty_scale: f64,
-    /// Whether steps are checked for violations that no correct step shows.
+    /// Whether steps are checked for violations that no correct step has.
     pub checks: bool,
 }
 
@@ -72,7 +72,7 @@ impl Settings {
             .collect();
         Err(SceneError(format!(
             "{name} = stick is not allowed with solver.method = {}{fixed}, whose steps cannot end at stick-slip transitions: it must be \
-             smooth, or solver.method one of {}.",
+             smooth, or solver.method must be one of {}.",
             self.method.name(),
             others.join(", ")
         )))

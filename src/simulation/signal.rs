@@ -45,7 +45,7 @@ impl Signal {
             .map_or(self.value, |[rate, curvature]| self.value.plus(elapsed, &rate).plus(elapsed * elapsed / 2.0, &curvature))
     }
 
-    /// Takes `steps` macro steps of h seconds, each with the inputs at its middle.
+    /// Makes `steps` macro steps of h seconds, each with the inputs at its middle.
     pub(super) fn over(
         &self,
         (h, steps): (f64, u64),

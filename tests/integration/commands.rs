@@ -311,8 +311,8 @@ fn too_many_commands_are_refused() {
     assert_eq!(steps, 404);
     assert_eq!(
         sentence,
-        "fmi2DoStep: servo.theta or servo.omega have changed more than 403 times within servo.delay = 0.1 s, the most that is \
-         allowed with solver.stepSize = 0.001 s: they must change less often."
+        "fmi2DoStep: servo.theta or servo.omega have changed more than 403 times within servo.delay = 0.1 s, the limit for \
+         solver.stepSize = 0.001 s: they must change less often."
     );
     assert_eq!(host.do_step(f64::from(steps) * 1e-5, 1e-5), fmi2OK, "{:?}", host.take());
 }

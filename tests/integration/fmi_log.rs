@@ -81,7 +81,7 @@ fn a_tolerance_is_logged_as_an_event() {
     assert_eq!(host.setup(Some(1e-6), 0.0, None), fmi2OK);
     let line = &host.take()[0];
     assert_eq!((line.status, line.category.as_str()), (fmi2OK, "logEvents"));
-    assert_eq!(line.text, "fmi2SetupExperiment: tolerance 1e-6 is not used, solver.errorTolerance is.");
+    assert_eq!(line.text, "fmi2SetupExperiment: tolerance 1e-6 is not used; solver.errorTolerance sets the accuracy.");
 }
 
 #[test]

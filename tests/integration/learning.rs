@@ -594,7 +594,7 @@ fn a_value_at_its_bound_is_reported_once() {
     let [first] = &lines[..] else { panic!("{lines:?}") };
     assert!(
         first.contains("estimated.offset[")
-            && first.contains("0.008 rad has been moved to its bound, -0.008 to 0.008 rad being allowed"),
+            && first.contains("0.008 rad has been moved to its bound (allowed: -0.008 to 0.008 rad)"),
         "{first}"
     );
     let after = host.state();

@@ -52,7 +52,7 @@ def result(fmu: Path) -> Result:
         (lambda u: u.set("tau[1]", TOO_LARGE), r"'tau\[1\]' must be a number in N.m"),
         (lambda u: u.ramp(None), "'values' must be a dict from names to values, not null"),
         (lambda u: u.ramp({"tau[1]": "a"}), r"'tau\[1\]' must be a number in N.m"),
-        (lambda u: u.ramp({"tau": 1.0}), r"'tau' has 2 elements, tau\[1\] to tau\[2\], and is given one"),
+        (lambda u: u.ramp({"tau": 1.0}), r"'tau' has 2 elements, tau\[1\] to tau\[2\], but is given one"),
         (lambda u: u.ramp({"solver.method": 1}), "'solver.method' is not a Real input: only Real inputs have rates"),
         (lambda u: u.ramp({"tip.x": 1.0}), "'tip.x' is not a Real input: only Real inputs have rates"),
         (lambda u: u.derivative(None, "tau"), "'unknowns' must be a name or a list of names, not null"),

@@ -287,14 +287,14 @@ def test_extras_that_are_too_old_are_one_sentence(
     extras.need("all")
     monkeypatch.setattr(extras, "_installed", (oldest | {"paho-mqtt": "1.6.1"}).get)
     assert main(["soak"]) == 2
-    sentence = "paho-mqtt 1.6.1 is installed, and >= 2 is needed"
+    sentence = "paho-mqtt 1.6.1 is installed, but >= 2 is needed"
     assert capsys.readouterr().err == f"fivebar soak: {sentence}: pip install 'fivebar[twin]' installs what is needed\n"
     monkeypatch.setattr(
         extras, "_installed", (oldest | {"paho-mqtt": "1.6.1", "websockets": "12.0", "psutil": None}).get
     )
     with pytest.raises(
         FiveBarError,
-        match=f"^psutil is needed and not installed; {sentence}; websockets 12.0 is installed, and >= 13.1 is needed: pip",
+        match=f"^psutil is needed and not installed; {sentence}; websockets 12.0 is installed, but >= 13.1 is needed: pip",
     ):
         extras.need("twin")
 

@@ -532,7 +532,7 @@ def test_unreadable_recordings_are_refused(tmp_path: Path, capsys: pytest.Captur
         (tmp_path / "none.db3", q, "none.db3: it cannot be read: No such file or directory"),
         (tmp_path / "none.csv", q, "none.csv: it cannot be read: No such file or directory"),
         (tmp_path, q, "is a folder: a table, or a bag of ROS with its metadata.yaml, is expected"),
-        (tmp_path / "a.parquet", q, "q has the type string, and numbers are expected"),
+        (tmp_path / "a.parquet", q, "q has the type string, but numbers are expected"),
         (tmp_path / "r.parquet", q, "is a record of `fivebar twin`, which needs no import"),
     ]  # fmt: skip
     for source, entries, sentence in asked:

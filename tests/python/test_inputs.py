@@ -70,7 +70,7 @@ def test_inputs_replace_values_of_the_scene(fmu: Path) -> None:
         ({"tip.x": 1}, "'tip.x' is not an input of the FMU"),
         (7, "inputs are a dict, a frame of pandas or a function of time, not 7"),
         (pandas.DataFrame({"tau[1]": RAMP}), "a frame of inputs needs a column or an index 'time', s"),
-        (lambda _time: 3, "the function of inputs must return a dict with the same names at all times, and returned 3 at 0 s"),
+        (lambda _time: 3, "the function of inputs must return a dict with the same names at all times, but returned 3 at 0 s"),
         (lambda time: {"tau[1]": 1} | ({"tau[2]": 1} if time > 0.05 else {}), "the function of inputs must return a dict with the same names at all times"),
     ],
 )  # fmt: skip

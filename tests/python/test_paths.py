@@ -115,7 +115,7 @@ def test_what_is_no_line_is_said(drawing: Callable[..., strokes.Drawing]) -> Non
         ("a.svg", "<svg", "it is no XML"),
         ("a.svg", "<html/>", "its first element is <html>, not <svg>"),
         ("a.svg", HEAD.format("", '<path d="M0 0 L foo"/>'), "a path's data have 'f', which is no command"),
-        ("a.svg", HEAD.format("", '<path d="M0 0 L 1e999 0"/>'), "a point of it is not finite"),
+        ("a.svg", HEAD.format("", '<path d="M0 0 L 1e999 0"/>'), "a point is not finite"),
         ("a.svg", HEAD.format('viewBox="a b c d"', CORNER), "its viewBox is 'a b c d': it must be four numbers"),
         ("a.svg", HEAD.format("", "<text>hi</text>"), "has no line to draw. The text 'hi' is left out"),
         ("a.svg", HEAD.format("", '<path d="M1 1"/>'), "has no line to draw"),
@@ -336,7 +336,7 @@ def test_a_drawing_that_takes_too_long_is_refused_before_the_work_on_its_pieces(
     drawing = strokes.Drawing([line((0.05, 0.3), (0.05, 0.31))] * 10_000)
     monkeypatch.setattr(pieces, "_lengths", None)
     monkeypatch.setattr(paths, "borders", None)
-    with pytest.raises(FiveBarError, match=r"takes 3000 s or more, and up to 1000 s are allowed in steps of 0.001 s"):
+    with pytest.raises(FiveBarError, match=r"takes 3000 s or more, but up to 1000 s are allowed in steps of 0.001 s"):
         paths.plan(table(), drawing, SLOW)
 
 

@@ -483,7 +483,7 @@ def test_parameters_that_are_not_identified_keep_the_scene_s_value(fmu: Path, li
     for name in library.variables:
         if name.startswith(("payload.", "link[", "servo.k", "servo.limit", "viscous.")):
             assert written[name] == before[name], name
-    assert "Not identified, and as before: payload.mass, link.mass, " in written.description
+    assert "Not identified, with values as before: payload.mass, link.mass, " in written.description
 
 
 def test_no_scene_is_written_from_an_uninformative_record(

@@ -265,7 +265,7 @@ def test_a_value_at_its_bound_is_reported(tmp_path: Path, fmu: Path, library: Li
     sentences = [message.extra["sentence"] for message in alarms if message.extra["state"] == "trouble"]
     assert (
         sum(
-            "estimated.offset[1] = 0.008 rad has been moved to its bound, -0.008 to 0.008 rad being allowed" in each
+            "estimated.offset[1] = 0.008 rad has been moved to its bound (allowed: -0.008 to 0.008 rad)" in each
             for each in sentences
         )
         == 1

@@ -132,7 +132,7 @@ def test_one_encoder_alone_starts_nothing_and_says_so(config: Config, library: L
         fields = {name: value for name, value in message.fields.items() if name != "measured.theta[2]"}
         twin.received("fivebar/bench/meas", encode(replace(message, fields=fields)), message.time)
     assert [alarm["sentence"] for alarm in ear.alarms()] == [
-        "restarting with the next sample: a start needs both angles, and measured.theta[2] is missing"
+        "restarting with the next sample: a start needs both angles, but measured.theta[2] is missing"
     ]
     twin.follower.close()
 
@@ -268,14 +268,14 @@ def test_a_run_with_only_refused_samples_says_so(
         assert heard == [True], "without samples of this unit, the twin listens to other units"
     raised = sent(twin, payloads, "fivebar/other/meas" if what == "topic" else "fivebar/bench/meas")
     reason = {
-        "seq": "meas 0 was taken already",
+        "seq": "meas 0 has been accepted already",
         "tags": "tags are {'unit': 'other'}; the unit of this topic is 'bench'",
         "text": f"meas: measured.theta[1] is '{taken[0].fields['measured.theta[1]']}', not a number",
         "topic": "meas is of the unit 'other', not of 'bench' (--unit)",
     }[what]
     (trouble,) = [a for a in raised if a["cause"] == "samples"]
     assert re.fullmatch(
-        rf"no sample is taken, 2\d\d are refused, the first because: {re.escape(reason)}.*", trouble["sentence"]
+        rf"no sample is accepted: 2\d\d are refused, the first because: {re.escape(reason)}.*", trouble["sentence"]
     )
     assert trouble["state"] == "trouble" and trouble["sentence"] in capsys.readouterr().out
     code, last = summed_up(config, twin, capsys)

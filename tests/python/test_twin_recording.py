@@ -67,8 +67,8 @@ def test_rows_without_a_time_of_their_own_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("head", "sentence"),
     [
-        ("time [ms],theta[1],theta[2]", "time is in ms, and s is expected"),
-        ("time,theta[1] [deg],theta[2]", "theta[1] is in deg, and rad is expected"),
+        ("time [ms],theta[1],theta[2]", "time is in ms, but s is expected"),
+        ("time,theta[1] [deg],theta[2]", "theta[1] is in deg, but rad is expected"),
         (
             "t,theta[1],theta[2]",
             "has no column time (s); its head is theta[1], theta[2], t; commas, semicolons or tabs",

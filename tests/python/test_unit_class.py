@@ -53,7 +53,7 @@ def test_pickles_of_another_unit_are_refused(fmu: Path, tmp_path: Path) -> None:
         assert list(unit.read(block)) == [0.0, 0.5]
     made.model.guid = "{another}"
     with pytest.raises(
-        FiveBarError, match=r"is the unit \{.*\}, and what was pickled is of \{another\} at .*moved.fmu$"
+        FiveBarError, match=r"is the unit \{.*\}, but the pickled object is of the unit \{another\} at .*moved.fmu$"
     ):
         pickle.loads(pickle.dumps(made))
 
@@ -111,8 +111,8 @@ def test_reading_by_several_names_and_arrays() -> None:
     ("name", "value", "sentence"),
     [
         ("tipp.x", 0, "there is no variable 'tipp.x'; did you mean 'tip"),
-        ("tau", [1.0], r"'tau' has 2 elements, tau\[1\] to tau\[2\], and is given 1"),
-        ("tau", 1.0, r"'tau' has 2 elements, tau\[1\] to tau\[2\], and is given one"),
+        ("tau", [1.0], r"'tau' has 2 elements, tau\[1\] to tau\[2\], but is given 1"),
+        ("tau", 1.0, r"'tau' has 2 elements, tau\[1\] to tau\[2\], but is given one"),
         ("tau[1]", "much", "must be a number in N.m"),
         ("tau[1]", True, "must be a number in N.m"),
         ("solver.method", "euler", "'solver.method' must be one of i3alp, "),

@@ -62,7 +62,7 @@ class Run:
 
 
 class StartRefused(FiveBarError):
-    """The FMU refused the start values; the text is its sentence."""
+    """The FMU refused the start values; the text is its message."""
 
 
 class _Recorder:
@@ -182,7 +182,7 @@ def drive(
 def _step(
     unit: Unit, points: np.ndarray, signals: _Signals, recorder: _Recorder, progress: Progress | None
 ) -> tuple[list[float], str | None]:
-    """Steps through `points`; returns the seconds of each step, and the unit's sentence if a call failed."""
+    """Steps through `points`; returns the seconds of each step, and the unit's message if a call failed."""
     clock = time.perf_counter
     seconds: list[float] = []
     for row, then in enumerate(points[1:].tolist()):

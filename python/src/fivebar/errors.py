@@ -7,15 +7,15 @@ if TYPE_CHECKING:
 
 
 class FiveBarError(ValueError):
-    """A file, a name, a value or a setting was refused. The command prints the sentence and ends with exit code 2."""
+    """A file, a name, a value or a setting was refused. The command prints the message and ends with exit code 2."""
 
 
 class UnitError(FiveBarError):
-    """The unit refused a call; the text is the unit's sentence."""
+    """The unit refused a call; the text is the unit's message."""
 
 
 class StepFailed(UnitError):
-    """A step failed. The unit discards it and stays in its state before the step.
+    """A step failed. The unit discards the step and keeps its state before it.
 
     `result` has the run up to the failure, or is None outside a run.
 
@@ -36,4 +36,4 @@ class StepFailed(UnitError):
 
 
 class MachineWarning(UserWarning):
-    """A scene describes a machine that cannot exist. The command prints the sentence and continues."""
+    """A scene describes a machine that cannot exist. The command prints the message and continues."""

@@ -24,7 +24,7 @@ def need(extra: str, *packages: str) -> None:
     for requirement, found in needed:
         if found is not None and not requirement.specifier.contains(found, prereleases=True):
             wrong.append(
-                f"{requirement.name} {found} is installed, and {str(requirement.specifier).replace('>=', '>= ')} is needed"
+                f"{requirement.name} {found} is installed, but {str(requirement.specifier).replace('>=', '>= ')} is needed"
             )
     if wrong:
         raise FiveBarError(f"{'; '.join(wrong)}: pip install 'fivebar[{extra}]' installs what is needed")

@@ -32,7 +32,7 @@ def sampled(given: Inputs | None, points: Floats, variables: Variables) -> dict[
         if variable is None or variable.type != "Real" or variable.variability != "tunable":
             variable = variables.input(name)
         for row in np.flatnonzero(~np.isfinite(values)):
-            raise FiveBarError(f"the input '{name}' must be finite, and is {values[row]} at {points[row]:g} s")
+            raise FiveBarError(f"the input '{name}' must be finite, but is {values[row]} at {points[row]:g} s")
         for extreme in (np.min(values), np.max(values)):
             variable.value(float(extreme))
     return courses
@@ -57,7 +57,7 @@ def _of_function(function: Callable[[float], Mapping[str, float]], points: Float
     for time, row in zip(points.tolist(), rows):
         if not isinstance(row, Mapping) or row.keys() != rows[0].keys():
             raise FiveBarError(
-                f"the function of inputs must return a dict with the same names at all times, and returned {shown(row)} at {time:g} s"
+                f"the function of inputs must return a dict with the same names at all times, but returned {shown(row)} at {time:g} s"
             )
     return {name: _numbers(name, [row[name] for row in rows]) for name in arguments.values("inputs", rows[0])}
 

@@ -104,7 +104,7 @@ class Instance:
         Raises
         ------
         UnitError
-            If its status is worse than a warning. The text is the unit's sentence.
+            If its status is worse than a warning. The text is the unit's message.
 
         Examples
         --------
@@ -834,7 +834,7 @@ def _numbers(name: str, elements: Sequence[Variable], given: Any) -> list[Value]
     if values is None or len(values) != len(elements):
         found = "one" if values is None else len(values)
         raise FiveBarError(
-            f"'{name}' has {len(elements)} elements, {elements[0].name} to {elements[-1].name}, and is given {found}"
+            f"'{name}' has {len(elements)} elements, {elements[0].name} to {elements[-1].name}, but is given {found}"
         )
     return [variable.number(value) for variable, value in zip(elements, values, strict=True)]
 

@@ -202,7 +202,9 @@ def _again(fmu: Path, guid: str) -> Library:
     """The library of a pickled object: from the same file, or the shipped one if it is the same unit."""
     found = shared(fmu if fmu.is_file() else None)
     if found.guid != guid:
-        raise FiveBarError(f"{found.fmu} is the unit {found.guid}, and what was pickled is of {guid} at {fmu}")
+        raise FiveBarError(
+            f"{found.fmu} is the unit {found.guid}, but the pickled object is of the unit {guid} at {fmu}"
+        )
     return found
 
 

@@ -98,7 +98,7 @@ def _scenes(
         )
     for number, own in enumerate(overrides):
         if not isinstance(own, Mapping):
-            raise FiveBarError(f"'values' must be a list of dicts, and has {shown(own)} for run {number}")
+            raise FiveBarError(f"'values' must be a list of dicts, but has {shown(own)} for run {number}")
     ready = []
     for number, (base, own) in enumerate(zip(bases, overrides)):
         try:

@@ -336,7 +336,8 @@ def _move(whole: Path, target: Path) -> None:
 def _try_start(fmu: Path) -> list[str]:
     """Initialises the unit with its start values: only the library can decide whether the mechanism closes.
 
-    Raises FiveBarError with the unit's sentence if it refuses. Returns a sentence if it has no library for this platform.
+    Raises FiveBarError with the unit's message if it refuses. Returns a sentence if the unit has no library for this
+    platform.
     """
     library = Library(fmu)
     try:

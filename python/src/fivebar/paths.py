@@ -135,7 +135,7 @@ def plan(
     least = sum(timing.duration(piece.chord) for piece in sequence)
     if least > MOST_POINTS * step:
         raise FiveBarError(
-            f"the drawing takes {least:.4g} s or more, and up to {MOST_POINTS * step:g} s are allowed in steps of {step:g} s: "
+            f"the drawing takes {least:.4g} s or more, but up to {MOST_POINTS * step:g} s are allowed in steps of {step:g} s: "
             "a higher speed or a smaller size makes it shorter"
         )
     check(scene, machine, mode, sequence)

@@ -38,7 +38,7 @@ def schema(variables: Variables) -> dict[str, Any]:
         scene_file.DESCRIPTION: TEXT | {"description": "A sentence for the summary and the page"},
         scene_file.EXPERIMENT: _object(
             {
-                "stopTime": seconds | {"description": "How long the scene is followed, s"},
+                "stopTime": seconds | {"description": "Duration of the run, s"},
                 "stepSize": seconds | {"description": "Communication step, s", "default": variables.step_size},
             }
         ),
@@ -59,10 +59,10 @@ def schema(variables: Variables) -> dict[str, Any]:
             "items": sides,
             "minItems": 2,
             "maxItems": 2,
-            "description": "Bends of the left and the right leg, where the start is given by the tip's place",
+            "description": "Bends of the left and the right leg, if the start is given by the tip's place",
         },
         tip_scenes.ASSEMBLY: sides
-        | {"description": "Side of the tip, where it lies on the line of the elbows at the start"},
+        | {"description": "Side of the tip, if it lies on the line of the elbows at the start"},
     }
     whole = _object(keys | values, required=[scene_file.DESCRIPTION])
     return {"$schema": DIALECT, "title": "Scene of the planar five-bar", **whole, "$defs": {"knots": KNOTS}}

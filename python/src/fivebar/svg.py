@@ -200,7 +200,7 @@ class _Document:
     def _spend(self, what: str, count: int = 1) -> None:
         self.spent[what] += count
         if self.spent[what] > self.most[what]:
-            raise FiveBarError(f"it has more than {self.most[what]} {what}, each as often as <use> repeats it")
+            raise FiveBarError(f"it has more than {self.most[what]} {what}, including repetitions by <use>")
 
     # Elements
 
@@ -320,7 +320,7 @@ class _Document:
             )
         if unit == "%":
             if share is None:
-                raise FiveBarError(f"{what}: the page has no size of which this is a share")
+                raise FiveBarError(f"{what}: the page has no size to which the percentage could refer")
             return float(match[1]) / 100 * share
         if unit == "px":
             self._say_px()
@@ -535,7 +535,7 @@ class _Document:
             wrong = data[COMMANDS.match(data).end()]  # type: ignore[union-attr]
             raise FiveBarError(f"a path's data have {wrong!r}, which is no command: {data[:60]!r}")
         if data and data[0] not in "Mm":
-            raise FiveBarError(f"a path's data begin with {data[0]!r}, and must begin with M: {data[:60]!r}")
+            raise FiveBarError(f"a path's data begin with {data[0]!r}, but must begin with M: {data[:60]!r}")
         at = 0
         while at < len(data):
             command, at = data[at], at + 1
@@ -603,7 +603,7 @@ def _stroke(curves: list[list[complex]], matrix: Floats) -> list[Floats]:
     with np.errstate(over="ignore", invalid="ignore"):
         moved = np.stack([points.real, points.imag, np.ones(points.shape)], axis=-1) @ matrix[:2].T
     if not np.all(np.isfinite(moved)):
-        raise FiveBarError("a point of it is not finite in mm: its coordinates and transforms must be smaller")
+        raise FiveBarError("a point is not finite in mm: coordinates and transforms must be smaller")
     return [moved]
 
 

@@ -78,7 +78,7 @@ def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> 
     for count, row in enumerate(lines, 1):
         if len(row) != len(head):
             comma = "; a decimal comma needs semicolons or tabs between the columns" if len(row) > len(head) else ""
-            raise FiveBarError(f"row {count} has {len(row)} cells, and the head {len(head)}{comma}")
+            raise FiveBarError(f"row {count} has {len(row)} cells, but the head {len(head)}{comma}")
         name = counted
         try:
             if counted_place is not None:

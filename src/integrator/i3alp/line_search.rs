@@ -80,7 +80,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         }
         q = step.q();
         pose = system.pose(&q);
-        // Only a full step shows how near the root is.
+        // Only a full step reveals how near the root is.
         convergence.corrected(if part == 1.0 { direction.max_norm() } else { f64::INFINITY });
         if convergence.is_met(system.phi(&q, &pose).max_norm()) {
             counters.rescued += 1;

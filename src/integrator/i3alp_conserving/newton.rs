@@ -46,7 +46,7 @@ impl ResidualBounds {
 
     /// Largest element of M⁻¹f, Φ and J₁w/2, each relative to its bound.
     fn violation(&self, [offset, phi, rate]: [f64; 3]) -> f64 {
-        // The sum is NaN if any of them is; a maximum would not be.
+        // The sum is NaN if any term is NaN; a maximum would not be.
         let most = (offset / self.offset).max(phi / self.phi).max(rate / self.rate);
         if (offset + phi + rate).is_nan() { f64::NAN } else { most }
     }

@@ -93,7 +93,7 @@ def path(
     ready = scenes.read(scene)
     if not ready["servo.enabled"]:
         raise FiveBarError(
-            f"the scene {ready.name} has servo.enabled = false, and servos must follow the drawing: enable them, and set their gains"
+            f"the scene {ready.name} has servo.enabled = false, but servos must follow the drawing: enable them, and set their gains"
         )
     folder = Path(ready.name) if out is None else out
     placed = strokes.read(drawing).placed(at, size)

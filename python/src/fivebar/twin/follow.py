@@ -1,4 +1,4 @@
-"""The twin process: takes `meas`, `param` and `cmd`; publishes `est` for every sample, `ahead` 20 times and `state` and `learned` once per second."""
+"""The twin process: receives `meas`, `param` and `cmd`; publishes `est` for every sample, `ahead` 20 times and `state` and `learned` once per second."""
 
 import json
 import logging

@@ -189,7 +189,7 @@ class Follower(Rider):
     # --- inputs -----------------------------------------------------------------------------------------------------------------
 
     def meas(self, message: Message) -> bool:
-        """Takes a sample and returns whether it has an estimate. Late samples have none, nor samples from which the unit cannot start."""
+        """Accepts a sample and returns whether it gets an estimate. Late samples get none, nor do samples from which the unit cannot start."""
         self._note(message)
         if self.book is not None and message.seq <= self.book.seq:
             self._late(message)
@@ -322,7 +322,7 @@ class Follower(Rider):
         fields = self.setup.scene.true(message.fields)
         missing = [name for name in MEASURED if name not in fields]
         if missing:
-            self.failure = f"a start needs both angles, and {missing[0]} is missing"
+            self.failure = f"a start needs both angles, but {missing[0]} is missing"
             return
         given = self.setup.values | self.parameters
         begins = turn.begins(self.unit.library, given, fields, [fields[name] for name in MEASURED])
@@ -346,7 +346,7 @@ class Follower(Rider):
 
     def _take(self, message: Message) -> None:
         """Processes a sample that is not late."""
-        assert self.book is not None, "a sample is only taken after the start"
+        assert self.book is not None, "a sample is only accepted after the start"
         book = self.book
         if message.seq > book.seq:
             self._remember(message)

@@ -99,7 +99,7 @@ class Intake:
 
     def _behind(self, message: Message, ahead: int, now: int) -> Literal["late", "series"]:
         if message.seq in self.came:
-            return self._else(message, f"meas {message.seq} was taken already", now)
+            return self._else(message, f"meas {message.seq} has been accepted already", now)
         if -ahead < self.window and message.time <= self.newest_time:
             self.came.add(message.seq)
             self.missing -= 1
@@ -246,7 +246,7 @@ class Refusals:
         if now - self._reported < LASTING:
             return ""
         self._reported = now
-        return f"no sample is taken, {self._refused} are refused, the first because: {self._reason}"
+        return f"no sample is accepted: {self._refused} are refused, the first because: {self._reason}"
 
 
 def _elsewhen(message: Message, now: int) -> str:

@@ -76,7 +76,7 @@ def _rise(host: str, port: int, broker: psutil.Process | None, seconds: float, m
 
 
 def _listening(port: int) -> psutil.Process | None:
-    """The local process that listens on a port; None if the system does not show it."""
+    """The local process that listens on a port; None if the system does not report it."""
     try:
         found = [
             c.pid

@@ -182,7 +182,7 @@ class Player:
         return None
 
     def commands(self, about: scene.Scene) -> Callable[[int], dict[str, float]]:
-        """Commands of each sample by its number, as true angles. A command stays until the next sample, and after the last one of a series."""
+        """Commands of each sample by its number, as true angles. A command holds until the next sample, and after the last sample of a series."""
         columns = {name: column for name, column in self.recording.columns.items() if name in INPUTS}
 
         def told(seq: int) -> dict[str, float]:

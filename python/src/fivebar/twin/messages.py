@@ -101,7 +101,7 @@ def decode(from_topic: str, payload: bytes) -> Message:
         f"topic {from_topic[:100]!r} is not fivebar/UNIT/KIND",
     )
     most = LARGEST.get(kind, LARGEST_USUAL)
-    _require(len(payload) <= most, f"{kind} of {len(payload)} bytes; at most {most} are taken")
+    _require(len(payload) <= most, f"{kind} of {len(payload)} bytes; at most {most} are allowed")
     content = _parse(kind, payload)
     _check(kind, content)
     _require(content["tags"]["unit"] == unit, f"tags are {_show(content['tags'])}; the unit of this topic is {unit!r}")

@@ -71,5 +71,5 @@ def _short_turns() -> None:
     number = SCHED_SETATTR.get(platform.machine())
     if number is not None and platform.system() == "Linux":
         attributes = _Attributes(size=ctypes.sizeof(_Attributes), runtime=TURN_NS)
-        # An older kernel ignores or refuses it: the default time slice stays.
+        # An older kernel ignores or refuses the request: the default time slice remains.
         ctypes.CDLL(None).syscall(number, 0, ctypes.byref(attributes), 0)

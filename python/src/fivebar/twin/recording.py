@@ -65,7 +65,7 @@ class Recording:
     """(n), s from the first sample, rising. At a restart of the clock, the step is the median step."""
 
     columns: dict[str, Array]
-    """Fields of `meas` by name, (n) each: rad, rad/s, N.m, m; NaN if a sample has no value. Drive commands have no NaN: each stays until the next one."""
+    """Fields of `meas` by name, (n) each: rad, rad/s, N.m, m; NaN if a sample has no value. Drive commands have no NaN: each holds until the next one."""
 
     begins: tuple[int, ...]
     """Indices of the first samples after each restart of the clock."""
@@ -95,7 +95,7 @@ def read(file: Path) -> Recording:
     for name in columns:
         unit, given = _unit(name), found.units.get(name, "")
         if given and _plain(given) != _plain(unit):
-            raise TwinError(f"{file}: {name} is in {given:.20}, and {unit} is expected")
+            raise TwinError(f"{file}: {name} is in {given:.20}, but {unit} is expected")
     if TIME not in columns:
         names = ", ".join([*columns, *found.others])[:200] or "nothing"
         raise TwinError(

@@ -42,7 +42,7 @@ FLOOR: Final = 5e-4
 """Misfit, rad, below which every assignment fits: the resolution of a coarse encoder."""
 
 WORST: Final = 0.01
-"""Misfit, rad, that shows another machine than the scene. Fitted zeros hide most of the effect of wrong lengths; lengths 25 % off leave this misfit."""
+"""Misfit, rad, that reveals another machine than the scene's. Fitted zeros hide most of the effect of wrong lengths; lengths 25 % off leave this misfit."""
 
 UNLIKE: Final = 0.5
 """Misfit relative to the variation of the data, above which there is no resemblance."""
@@ -343,13 +343,13 @@ class _Loop:
             if self.postures(motors + found.x)[0].mean() < CLOSES:
                 continue
             misfit = float(np.sqrt(np.mean(of(found.x) ** 2)))
-            # The zeros of the map stay unless others are clearly better.
+            # The zeros of the map are kept unless others are clearly better.
             if misfit < 0.99 * best.misfit:
                 jacobian = np.asarray(found.jac)
                 normal = jacobian.T @ jacobian
                 sigma = np.full(2, np.inf)
                 if np.linalg.cond(normal) < 1e12:
-                    # Slightly wrong lengths shift the zeros far more than the misfit shows.
+                    # Slightly wrong lengths shift the zeros far more than the misfit reveals.
                     lengths = [of(found.x, loop) - of(found.x) for loop in self.longer()]
                     moved = np.linalg.solve(normal, jacobian.T @ np.column_stack(lengths))
                     sigma = np.sqrt(misfit**2 * np.diag(np.linalg.inv(normal)) + np.sum(moved**2, axis=1))

@@ -69,7 +69,7 @@ class Replay:
         """Takes the next message of the record."""
         self.seen += 1
         if message.kind in ("meas", "param", "cmd", "state"):
-            # Of two inputs with the same number, the twin took the first.
+            # Of two inputs with the same number, the twin used the first.
             self.inputs.setdefault((message.kind, message.seq, message.time), message)
             while len(self.inputs) > KEPT:
                 del self.inputs[next(iter(self.inputs))]

@@ -30,7 +30,7 @@ EXACT: Final[dict[str, float | int | bool]] = {
 
 
 def learning(library: Library, values: dict[str, float | int | bool]) -> dict[str, float | int | bool]:
-    """Start values with which the twin of a scene learns; prior standard deviations in the scene stay.
+    """Start values with which the twin of a scene learns; prior standard deviations of the scene are kept.
 
     Viscous friction is also learned if the scene has none, because bearings always have some. Its prior σ is then the unit's default friction.
     """

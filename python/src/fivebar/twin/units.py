@@ -41,7 +41,7 @@ def of_long_step(step: float, longest: float) -> str:
 
 def asks_by_time(what: str, time: float, unit: Unit) -> str:
     """Question about a time since 1970."""
-    return f"time of {what} is {time}, and ns since 1970 are expected: are these {unit.name}?"
+    return f"time of {what} is {time}, but ns since 1970 are expected: are these {unit.name}?"
 
 
 def asks_by_step(step: float, expected: str, unit: str) -> str:

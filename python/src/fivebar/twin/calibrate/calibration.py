@@ -176,7 +176,7 @@ class Calibration:
         return found
 
     def start(self) -> Values:
-        """Start values with the estimates; other values stay as assumed."""
+        """Start values with the estimates; other values are the assumed ones."""
         kept = [k for k, known in enumerate(self.solution.judgement.identified) if known]
         x = [float(self.solution.fit.x[k]) for k in kept]
         return assemble(self.problem.scene, self.problem.library, [self.solution.sought[k] for k in kept], x)
@@ -196,7 +196,7 @@ class Calibration:
         unknown = [self.solution.sought[k].name for k in self.solution.refused()]
         text = f"Calibrated from {self.problem.name}: {scenes.series(known)}."
         if unknown:
-            text += f" Not identified, and as before: {scenes.series(unknown)}."
+            text += f" Not identified, with values as before: {scenes.series(unknown)}."
         fit = self.solution.fit
         first = fit.pieces[0].start
         values = self.start()
@@ -205,7 +205,7 @@ class Calibration:
         values |= {f"init.theta[{i}]": float(angle) for i, angle in enumerate(begin, 1)}
         values |= {f"init.omega[{i}]": float(rate) for i, rate in enumerate(first.state[2:], 1)}
         values["init.assembly"] = first.assembly
-        # First commands of the drives as start values: without a master the machine stays in its posture.
+        # First commands of the drives as start values: without a master the machine holds its posture.
         x = np.where(self.solution.judgement.identified, fit.x, [p.origin for p in self.solution.sought])
         commands = fit.pieces[0].path.first(offsets, fit.machine.constants(x))
         values |= {name: value for name, value in commands.items() if not name.startswith("servo.omega")}
@@ -376,7 +376,7 @@ def solve(
         if len(pins) == before and settled:
             break
         if names := [p.name for p, known in zip(sought, judgement.identified, strict=True) if not known]:
-            show(f"not identified: {', '.join(names)}; fitted once more with that as it is in the scene")
+            show(f"not identified: {', '.join(names)}; fitted once more with these at their values in the scene")
         later = fitter.again(fit, pins, held)
         if not (np.all(fit.sigma < ALL_NOISE * fitter.noise) and np.any(later.sigma > CONTRADICTED * fit.sigma)):
             fit, judgement = later, _both(judgement, judge(later, sought, held))
@@ -384,7 +384,7 @@ def solve(
             show("residuals are larger with the scene's lengths and mounting angles: these are not the machine's")
             judgement, held, pins = first, free, np.empty((0, len(sought)))
         else:
-            show("with that as it is in the scene residuals are larger: the fit before stays")
+            show("with these values of the scene residuals are larger: the previous fit is kept")
             break
     wrong, odd = suspicion(fit, least_noise(given))
     if wrong:
@@ -396,18 +396,18 @@ def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
     """Why a fit is rejected, and why its errors may exceed the error bars; "" without a reason."""
     worst = int(np.argmax(fit.sigma))
     residual, shown = float(fit.sigma[worst]), 10 * float(tenth[worst])
-    text = f"residuals of encoder {worst + 1} are {1e3 * residual:.3g} mrad after the fit, where the encoder shows {1e3 * shown:.2g} mrad of noise"
+    text = f"residuals of encoder {worst + 1} are {1e3 * residual:.3g} mrad after the fit, with encoder noise of {1e3 * shown:.2g} mrad"
     if residual > WRONG and fit.rms_before < SMALL:
         return (
-            f"refused: the fit failed: {text}, and were {1e3 * fit.rms_before:.2g} mrad before it, with the scene's values over short pieces; nothing that was found is believed",
+            f"refused: the fit failed: {text}. Before the fit they were {1e3 * fit.rms_before:.2g} mrad, over short pieces with the scene's values: the results are rejected",
             "",
         )
     if residual > WRONG:
-        return f"refused: {text}: the scene is not this machine, and nothing that was found is believed", ""
+        return f"refused: {text}: the scene is not this machine, so the results are rejected", ""
     if residual > max(ODD * shown, SMALL):
         return (
             "",
-            f"warning: {text}: the machine has something that is not sought, and values may be off by more than their bars",
+            f"warning: {text}: the machine has an effect that is not fitted, so values may be off by more than their error bars",
         )
     return "", ""
 

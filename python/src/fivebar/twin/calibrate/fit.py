@@ -58,7 +58,7 @@ UNSOUND: Final = 30.0
 """Ratio of a piece's residuals to the median over all pieces, above which the start of the piece counts as not found."""
 
 VISIBLE: Final = 3e-4
-"""Residuals of the shortest pieces, rad, from which other assumptions are tried; below, effects that are not sought explain them as well."""
+"""Residuals of the shortest pieces, rad, from which other assumptions are tried; below, effects that are not fitted explain the residuals as well."""
 
 ALL_NOISE: Final = 20.0
 """Ratio of residuals to `Fitter.noise` (a tenth of the encoder's noise), below which residuals are only noise: the fitted machine is right."""
@@ -220,7 +220,7 @@ class Fitter:
     def first(self, x: Array, lengths: list[float]) -> list[Piece]:
         """Pieces of the first length, with the assembly that fits. Their starts are guessed from their first samples, then fitted to all samples.
 
-        If there are many pieces of the second length, only pieces that start one of them are taken.
+        If there are many pieces of the second length, only pieces that start one of these are used.
         """
         pieces: list[Piece] = []
         begins = [samples.time[0] for samples in self.cut(lengths[min(1, len(lengths) - 1)])]
@@ -266,7 +266,7 @@ class Fitter:
         ]
 
     def joined(self, pieces: list[Piece], x: Array, length: float) -> list[Piece]:
-        """Longer pieces with the starts of the shorter ones; shorter pieces stay if the motion is lost over the longer one."""
+        """Longer pieces with the starts of the shorter ones; shorter pieces are kept if the motion is lost over the longer one."""
         found = []
         for samples in self.cut(length):
             begin, end = samples.time[0], samples.time[-1]
@@ -473,7 +473,7 @@ class Fitter:
             longer = self.sound(self.joined(pieces, x, length), x)
             begin = pack(x, longer)
             sigma = np.maximum(spread(self.gaps(longer, begin), longer), self.noise)
-            # The shortest pieces show little of the machine, because each has its own start.
+            # The shortest pieces reveal little of the machine, because each has its own start.
             before = before if length > max(lengths[:2]) else float(np.mean(sigma))
             if length == lengths[0]:
                 longer, end = self.explain(longer, begin, prior, length)
@@ -488,10 +488,11 @@ class Fitter:
             if length == lengths[0]:
                 self.doubt(len(longer), found, prior, lengths)
             if np.all(left < ALL_NOISE * self.noise) and np.any(found > LOSES * left):
-                self.show("the motion is chaotic over pieces of this length: shorter ones stay")
+                self.show("the motion is chaotic over pieces of this length: shorter pieces are kept")
                 break
             x, z, pieces = end[:p], end, unpack(end, longer, p)
-            # The shortest pieces are no reference: with their own starts, they show hardly more than noise for any machine.
+            # The shortest pieces are no reference: with their own starts, their residuals are hardly more than noise
+            # for any machine.
             left = np.maximum(found, self.noise) if length > lengths[0] else left
         self.machine.tolerance(TIGHT)
         return pieces, z, before

@@ -169,7 +169,7 @@ class Runner:
                     shown[row] = unit.numbers(self.shown)
                     row += 1
         except UnitError as error:
-            result["failed"] = str(error)[:200] or "the unit gave a call up"
+            result["failed"] = str(error)[:200] or "the unit discarded a call"
             result.setdefault("drawn", {})
         return result
 

@@ -114,7 +114,7 @@ class Chunk:
 
 
 def _begin() -> None:
-    """Starts a process of the pool: it ignores Ctrl-C, which is for the parent, and ends if the parent is killed."""
+    """Starts a process of the pool, which ignores Ctrl-C (meant for the parent) and ends if the parent is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

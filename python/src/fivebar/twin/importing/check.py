@@ -159,7 +159,7 @@ def tip_unit(given: Recording, machine: Machine) -> WrongUnit | None:
     if not fitting or fitting[0] == "m":
         return None
     question = (
-        f"the tip is up to {far:.4g} m from the origin, and the machine reaches {reach:.4g} m: are these {fitting[0]}?"
+        f"the tip is up to {far:.4g} m from the origin, but the machine reaches {reach:.4g} m: are these {fitting[0]}?"
     )
     return WrongUnit(given.source, question, TRACKED[0], fitting[0])
 
@@ -261,7 +261,7 @@ def _turns(given: Recording) -> Iterator[Finding]:
                 f"{name} jumps by {steps[odd[0]]:.4g} rad at {at:.3f} s, which is no whole turn: does its counter overflow or restart?",
             )
         elif len(jumps):
-            yield Finding("ok", "turns", f"{name} jumps by whole turns {len(jumps)} times, which all commands take out")
+            yield Finding("ok", "turns", f"{name} jumps by whole turns {len(jumps)} times; all commands unwrap them")
 
 
 def _assignment(verdict: Verdict) -> Iterator[Finding]:
@@ -348,6 +348,6 @@ def _estimator(measured: Quality, scene: Scene, report: Report) -> None:
             Finding(
                 "fix",
                 "noise",
-                f"{measured.name} has an error of {1e3 * error:.3g} mrad by steps and noise, and the twin takes {1e3 * assumed:.3g} mrad",
+                f"{measured.name} has an error of {1e3 * error:.3g} mrad by steps and noise, but the twin assumes {1e3 * assumed:.3g} mrad",
             )
         )

@@ -23,7 +23,7 @@ from fivebar.twin.recording import TIME
 from fivebar.variables import shown, similar
 
 PASSIVE: Final = ("passive.theta[1]", "passive.theta[2]")
-"""Angles of the distal links. They are not fields of `meas`, but show how the machine is assembled and which encoder is which."""
+"""Angles of the distal links. They are not fields of `meas`, but reveal the assembly of the machine and the order of the encoders."""
 
 VARIABLES: Final = (*MEAS_FIELDS, *PASSIVE)
 

@@ -93,7 +93,7 @@ def _numbers(file: Path, name: str, column: "pa.ChunkedArray[Any]", counted: boo
     if pa.types.is_timestamp(kind):
         column, kind = column.cast(pa.timestamp("ns")).cast(pa.int64()), pa.int64()
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        raise FiveBarError(f"{file}: {name} has the type {kind}, and numbers are expected")
+        raise FiveBarError(f"{file}: {name} has the type {kind}, but numbers are expected")
     known = np.asarray(column.is_valid())
     origin = column[int(np.argmax(known))].as_py() if counted and known.any() else 0
     found = np.full(len(known), np.nan)
