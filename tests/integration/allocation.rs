@@ -80,7 +80,7 @@ fn a_call_of_do_step_allocates_nothing() {
     assert_eq!(count, 0);
 }
 
-/// A step of a followed machine allocates nothing, also after the larger state of a learning one has replaced its own.
+/// A step with an estimator allocates nothing, also after the larger state of a learning one has replaced its own.
 #[test]
 fn a_step_of_a_followed_machine_allocates_nothing() {
     let host = Host::instantiate(Instantiation::default()).unwrap_or_else(|lines| panic!("{lines:?}"));

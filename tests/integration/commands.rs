@@ -259,7 +259,7 @@ fn a_discarded_step_leaves_the_commands_untouched() {
     }
 }
 
-/// Outputs and derivatives are those of the references that act.
+/// Outputs and derivatives belong to the references that act.
 #[test]
 fn outputs_are_those_of_the_references_that_act() {
     let host = Host::initializing(0.0, None);
@@ -366,8 +366,8 @@ fn steps_with_commands_that_wait_allocate_nothing() {
 /// Standard deviation of an encoder's step of 0.63 mrad.
 const QUANTUM: f64 = 6.3e-4;
 
-/// Root mean square of the innovations, rad, mean normalised square, and number of samples with an alarm, of a twin with this delay, s. It
-/// follows a machine with 17 ms at 100 Hz, whose commands are steps on a course of up to 4 rad/s.
+/// Root mean square of the innovations, rad, mean normalised square, and number of samples with an alarm, of a twin with this delay, s. The
+/// twin tracks a machine with a delay of 17 ms at 100 Hz, whose commands are steps on a course of up to 4 rad/s.
 fn followed(delay: f64, learns: bool) -> ([f64; 2], u32) {
     let with = |delay: f64| {
         let mut parameters = servos(Method::Automatic, delay);
@@ -406,7 +406,8 @@ fn a_twin_with_the_delay_of_its_machine_follows_it() {
     }
 }
 
-/// A forecast of singularities knows a command that waits: it leads through a direct singularity, while the references that act hold.
+/// A forecast of singularities knows a waiting command: this command leads through a direct singularity, while the references that act
+/// hold.
 #[test]
 fn forecasts_know_commands_that_wait() {
     let mut parameters = servos(Method::Automatic, 0.05);

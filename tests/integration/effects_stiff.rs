@@ -206,7 +206,7 @@ fn a_tuned_value_may_couple_links() {
     }
 }
 
-/// At rest exactly in a vertex under a load below breakaway, it creeps on the branch of least constraint and is not thrown out of the
+/// A machine at rest exactly in a vertex under a load below breakaway creeps on the branch of least constraint and is not thrown out of the
 /// vertex as without friction; above breakaway it moves.
 #[test]
 fn friction_holds_a_load_in_a_vertex() {
@@ -225,7 +225,7 @@ fn friction_holds_a_load_in_a_vertex() {
             fastest = motion.omega.iter().fold(fastest, |fastest, rate| fastest.max(rate.abs()));
         }
         let energies = observers::energies(simulation.model(), &simulation.state());
-        // The weights pull with some 0.1 N·m: against 2 N·m it creeps at about 0.01 rad/s · 0.1/2.
+        // The weights pull with some 0.1 N·m: against 2 N·m the machine creeps at about 0.01 rad/s · 0.1/2.
         assert!(if goes { fastest > 1.0 } else { fastest < 2e-3 }, "{friction} N.m: {fastest} rad/s");
         assert!(energies.error.abs() < 1e-2 * MGL, "{friction} N.m: {energies:?}");
         assert!(simulation.state().core.counters.substeps < 20_000, "{friction} N.m: {:?}", simulation.state().core.counters);

@@ -202,7 +202,7 @@ fn nees(following: &Following, machine: &Machine) -> f64 {
 }
 
 /// Lengths with errors: the tip's covariance is the sum of each length's effect at constant motor angles, from differences between machines
-/// of other lengths; also while learning them.
+/// of other lengths; also while lengths are learned.
 #[test]
 fn lengths_move_the_tip() {
     let sigma = 1e-3;
@@ -350,7 +350,7 @@ fn a_start_that_is_off_is_no_motion() {
 }
 
 /// Encoders that are silent while the machine comes to rest have not failed if one of them then repeats the same angle and the other shows
-/// a creep of 20 mrad/s. The estimate follows this, and the motion that starts afterwards, within 1 mm of the tip.
+/// a creep of 20 mrad/s. The estimate tracks this creep, and the motion that starts afterwards, within 1 mm of the tip.
 #[test]
 fn encoders_that_were_silent_at_rest_are_trusted() {
     for (quantum, h, exact) in [(1e-4, 1e-3, true), (1e-4, 5e-3, true), (1e-4, 1e-3, false), (1e-4, 5e-3, false)] {
@@ -941,7 +941,7 @@ impl Scene for Turning<'_> {
     }
 }
 
-/// The forecast of singularities over the longest horizon takes bounded work at any rate of the machine. A machine too fast to be followed
+/// The forecast of singularities over the longest horizon takes bounded work at any rate of the machine. A machine too fast to be tracked
 /// counts as meeting a singularity; a slow one that turns as one body meets none.
 #[test]
 fn a_forecast_of_singularities_takes_bounded_work() {

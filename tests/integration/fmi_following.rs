@@ -294,7 +294,7 @@ fn a_lost_machine_is_found_again() {
     for step in 50..2050 {
         assert_eq!(host.do_step(f64::from(step) * H, H), fmi2OK);
     }
-    // Then it gets samples of a machine that has fallen from elsewhere.
+    // Then the unit gets samples of a machine that has fallen from elsewhere.
     let other = Host::initializing(0.0, None);
     assert_eq!(other.set_integer(&[reference("solver.method")], &[4]), fmi2OK);
     for (name, value) in [("base.distance", 0.1), ("init.theta[1]", 2.0), ("init.theta[2]", 1.3)] {

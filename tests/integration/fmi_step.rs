@@ -148,7 +148,7 @@ fn a_discarded_step_leaves_no_trace() {
         assert_eq!(host.set_integer(&["solver.method", "solver.maxIterations"].map(reference), &[method, 1]), fmi2OK);
         let switches = ["solver.adaptive", "payload.enabled", "friction.enabled"].map(reference);
         assert_eq!(host.set_boolean(&switches, &[adaptive, payload, friction]), fmi2OK);
-        // Too long for all of them; the huge gravity defeats methods that divide a step.
+        // This step is too long for all methods; the huge gravity defeats methods that divide a step.
         let (names, values) = (["solver.stepSize", "init.theta[2]", "init.omega[1]", "gravity.g"], [0.1, 2.0, 5.0, 1e12]);
         assert_eq!(host.set_real(&names.map(reference), &values), fmi2OK);
         assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());

@@ -1,5 +1,5 @@
-//! Every state that a followed run reaches can be stored, and continues with equal bits, whatever the samples were. `forged_states.rs` has
-//! states that must be refused.
+//! Every state that a run with an estimator reaches can be stored, and continues with equal bits, whatever the samples were.
+//! `forged_states.rs` has states that must be refused.
 
 use std::f64::consts::{PI, TAU};
 
@@ -44,7 +44,7 @@ impl Random {
         Inputs { tau, tip_force, servo_theta: self.pair(3.0), servo_omega: self.pair(3.0) }
     }
 
-    /// Parameters of a unit that follows a machine: any geometry, effects, encoders, priors and start.
+    /// Parameters of a unit that tracks a machine: any geometry, effects, encoders, priors and start.
     fn scene(&mut self) -> Parameters {
         let mut parameters = if self.is(0.5) { unequal() } else { default_parameters() };
         parameters.settings.method = [Method::Dop853, Method::Automatic, Method::I3alp][self.one_of(3)];
@@ -150,7 +150,7 @@ impl Random {
     }
 }
 
-/// A machine that differs from its description, the unit that follows it, and the same unit, which is stored and restored now and then.
+/// A machine that differs from its description, the unit that tracks it, and the same unit, which is stored and restored now and then.
 struct Pair {
     machine: Simulation,
     free: Following,

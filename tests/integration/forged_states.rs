@@ -18,7 +18,7 @@ use crate::support::is_nightly;
 const HEAD: usize = 58;
 const CHECKSUM: usize = 4;
 
-/// Changes of a byte. Each byte gets one of them, its neighbour the next; the next case starts with another one.
+/// Changes of a byte. Each byte gets one change, its neighbour the next change; the next case starts with another change.
 const CHANGES: [fn(u8) -> u8; 7] = [
     |byte| byte ^ 0x01,
     |byte| byte ^ 0x80,

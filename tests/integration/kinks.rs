@@ -1,5 +1,5 @@
 //! Loads with events by the error-controlled methods: no contact is missed, outputs between steps are correct, work balances, and friction
-//! that sticks stays.
+//! that holds creeps only as its law predicts.
 
 use fivebar::effects::Mode;
 use fivebar::integrator::{Implicit, i3alp};
@@ -100,7 +100,7 @@ fn no_slow_touch_is_missed() {
         // A contact multiplies errors by the stiffness: several bounces turned 1e-9 m into 1e-6 m.
         let error = tip_error(&usual, tip(&exact));
         assert!(error < 1e-5, "seed {seed}: {error:e} m");
-        // The second-order default method also follows, unless bounces multiply its errors, which grow like a perturbation of the
+        // The second-order default method also tracks the motion, unless bounces multiply its errors, which grow like a perturbation of the
         // start.
         let default = tip_error(&end(Method::I3alp, 3e-9, 600), tip(&exact));
         if default > 2e-4 {
@@ -153,8 +153,8 @@ fn a_touch_in_either_half_of_a_sub_step_is_met() {
     }
 }
 
-/// A start inside a stop that separates: the energy left in its spring is dissipated, and dissipated energy never decreases. In all it is
-/// 2.4546e-2 J by the independent program.
+/// A start inside a stop that separates: the energy left in its spring is dissipated, and dissipated energy never decreases. By the
+/// independent program 2.4546e-2 J are dissipated in total.
 #[test]
 fn energy_left_in_a_stop_is_dissipated() {
     let mut parameters = close_motors([2.2, 0.9], [3.0, 0.0]);

@@ -1,5 +1,5 @@
-//! Masses, payload, friction, lengths and mounting angles learned by the estimator: found if the motion shows them, otherwise left at their
-//! priors with their bands, never beyond physical bounds, and kept in stored states.
+//! Masses, payload, friction, lengths and mounting angles learned by the estimator: found if the motion reveals them, otherwise left at
+//! their priors with their bands, never beyond physical bounds, and kept in stored states.
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::error_state::{DRY, LENGTHS, Learned, MASSES, OFFSETS, PAYLOAD, VISCOUS};
@@ -140,8 +140,8 @@ impl MapEach for std::ops::Range<usize> {
     }
 }
 
-/// Known torques show all masses: after 2 s none is off by more than 0.15 %, three times the rms error of the table `learning`, nor by more
-/// than four standard deviations; the prior was 5 %.
+/// Known torques reveal all masses: after 2 s none is off by more than 0.15 %, three times the rms error of the table `learning`, nor by
+/// more than four standard deviations; the prior was 5 %.
 #[test]
 fn masses_are_found_under_known_torques() {
     let model = learning();
@@ -154,7 +154,8 @@ fn masses_are_found_under_known_torques() {
     }
 }
 
-/// A fall shows lengths and mounting angles: after 2 s each is ten times more precise than its prior, and within four standard deviations.
+/// A fall reveals lengths and mounting angles: after 2 s each is ten times more precise than its prior, and within four standard
+/// deviations.
 #[test]
 fn lengths_and_mounting_angles_are_found_in_a_fall() {
     let mut model = learning();
@@ -176,7 +177,7 @@ fn lengths_and_mounting_angles_are_found_in_a_fall() {
 }
 
 /// Machines with coaxial motors and lengths equal in pairs fall through postures in line. There learned lengths would lead to another
-/// branch of the closure, so lengths are not learned and stay in the tip's band.
+/// branch of the closure, so lengths are not learned and remain in the tip's band.
 #[test]
 fn machines_on_branches_of_the_closure_are_followed_while_they_are_learned() {
     for base in [0.0, 1e-6] {
@@ -280,7 +281,7 @@ fn mounting_angles_learned_under_stiff_servos_stay_within_their_bands() {
     }
 }
 
-/// A machine at rest shows neither lengths nor mounting angles: values and bands stay, also the tip's band.
+/// A machine at rest reveals neither lengths nor mounting angles: values and bands do not change, nor does the tip's band.
 #[test]
 fn at_rest_lengths_and_mounting_angles_stay_at_their_prior() {
     let mut model = learning();
@@ -366,7 +367,7 @@ fn scales_stay_as_width() {
     }
 }
 
-/// A free fall does not show a common factor of all masses: the factor keeps its prior and its band, while ratios of masses are found.
+/// A free fall does not reveal a common factor of all masses: the factor keeps its prior and its band, while ratios of masses are found.
 #[test]
 fn a_common_factor_stays_at_its_prior_in_a_free_fall() {
     let model = learning();
@@ -429,7 +430,7 @@ fn a_push_is_found_and_not_learned() {
     assert!(MASSES.into_iter().all(|i| off[i].abs() < (5.0 * sigma[i] / values[i]).max(3e-3)), "{off:?}, {:?}", sigma.as_slice());
 }
 
-/// A payload set by the master restarts its learning; the learned masses stay.
+/// A payload set by the master restarts its learning; the learned masses remain.
 #[test]
 fn setting_a_payload_restarts_its_learning() {
     let mut model = learning();
@@ -602,9 +603,9 @@ fn a_value_at_its_bound_is_reported_once() {
     lines.extend(told(&host));
     let mut names: Vec<&str> = lines.iter().filter_map(|line| line.split(' ').nth(3)).collect();
     names.sort_unstable();
-    // Others follow the first, and none repeats, although values move to and fro.
+    // Other warnings come after the first, and none repeats, although values move to and fro.
     assert!(names.len() > 1 && names.windows(2).all(|pair| pair[0] != pair[1]), "{lines:?}");
-    // A state from before the step reports it again; one from after it does not.
+    // A state stored before the step reports the bound again; a state stored after it does not.
     for (state, expected) in [(before, 1), (after, 0)] {
         let mut machine = machine_before.clone();
         assert_eq!(host.set_state(state), fmi2OK);

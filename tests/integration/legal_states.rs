@@ -50,7 +50,7 @@ impl Twins {
         borsh::to_vec(simulation.run()).expect("bytes")
     }
 
-    /// Converts one of them to bytes and back, and checks that it still equals the other.
+    /// Converts one of two states to bytes and back, and checks that it still equals the other.
     fn store(&mut self) {
         let Self { name, free, stored } = self;
         let bytes = Self::bytes(stored);

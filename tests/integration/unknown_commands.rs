@@ -95,7 +95,7 @@ fn errors(parameters: &Parameters, mut walk: Walk, period: u32, random: &mut Cha
     found
 }
 
-/// Shares of 200 runs within the 90 % and 95 % bands 0.1 and 0.5 s ahead. The bands take the commands as constant if `known`.
+/// Shares of 200 runs within the 90 % and 95 % bands 0.1 and 0.5 s ahead. The bands assume constant commands if `known`.
 fn coverage(what: What, (bands, period): (Bands, u32), known: bool) -> [[f64; 2]; 2] {
     let (scales, servo) = match what {
         What::Torques => ([[2e-3, 1e-3], [0.0; 2]], false),
@@ -176,7 +176,7 @@ fn unknown_commands_change_no_estimate() {
             twin.advance_along(&Signal::held(default_inputs()), H, 1).expect("a step");
         }
         assert_eq!(constant.motion(), walks.motion(), "{time} s");
-        // The second step without a sample is the first one that shows that samples are missing.
+        // The second step without a sample is the first one that reveals missing samples.
         if step < 201 {
             assert_eq!(constant.estimate(), walks.estimate(), "{time} s");
         }

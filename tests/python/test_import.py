@@ -580,7 +580,7 @@ PANTOGRAPH = {
 
 
 def test_the_haptic_pantograph_of_others(tmp_path: Path, recordings: Path) -> None:
-    """Its encoders have 20,000 steps a turn; the bag contains steps of 3.14e-4 rad."""
+    """The encoders of the pantograph have 20,000 steps a turn; the bag contains steps of 3.14e-4 rad."""
     found = imported(tmp_path, recordings / "haptic_pantograph", given=write_map(tmp_path, **PANTOGRAPH))
     assert len(found.time) == 6055 and not found.begins and found.time[-1] == pytest.approx(60.57, abs=0.01)
     for each in quality.measure(found):

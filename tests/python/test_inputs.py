@@ -43,7 +43,7 @@ def test_every_form_gives_the_same_values(given: Any, fmu: Path) -> None:
 
 
 def test_inputs_replace_values_of_the_scene(fmu: Path) -> None:
-    """They replace signals and start values; a constant is one number; tunable parameters are allowed."""
+    """Inputs replace signals and start values; a constant is one number; tunable parameters are allowed."""
     pushed = read("paper_torque").replace(stop_time=0.01, inputs={"tau[1]": 0.1, "payload.mass": np.linspace(0, 1, 11)})
     assert "tau[1]" not in pushed.values and pushed.signals["tau[1]"].tolist() == [0.1] * 11
     assert all("tau[1]" not in variant.values for variant in pushed.variants)

@@ -114,7 +114,7 @@ def test_reset_brings_its_own_starts_back(new_own: New) -> None:
 
 
 def test_a_stored_state_continues_only_in_its_own_unit(new: New, new_own: New) -> None:
-    """It continues in the instance, in another one, and from bytes; the plain unit refuses the bytes, by the GUID, and the state."""
+    """A stored state continues in the instance, in another one, and from bytes; the plain unit refuses the bytes, by the GUID, and the state."""
     first, second, plain = new_own().initialise(), new_own().initialise(), new().initialise()
     first.steps(50, 0.002)
     state = first.slave.getFMUState()

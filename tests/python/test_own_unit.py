@@ -223,7 +223,7 @@ def test_without_a_location_the_archive_of_the_library_is_searched(
 
 
 def test_without_a_file_there_is_no_instance(mine: Unit, copy: Path) -> None:
-    """It never silently uses other values: the message has both GUIDs and the searched place."""
+    """The unit never silently uses other values: the message has both GUIDs and the searched place."""
     shutil.rmtree(copy / "resources")
     for location in (None, b"file:///nowhere"):
         with pytest.raises(Refused) as refusal:

@@ -467,7 +467,7 @@ def fivebar(folder: Path, fmu: Path, *words: str | Path) -> subprocess.Completed
 
 
 def test_the_command_draws(tmp_path: Path, fmu: Path) -> None:
-    """It writes a scene for any run, a table and a picture; the machine follows the table and stays near the drawing."""
+    """The command writes a scene for any run, a table and a picture; the machine follows the table and stays near the drawing."""
     done = fivebar(
         tmp_path,
         fmu,

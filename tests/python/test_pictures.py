@@ -60,7 +60,7 @@ def test_labels_of_decades_are_matplotlibs_in_plain_text(low: float, high: float
 
 
 def test_the_path_has_the_colour_of_its_time(fmu: Path) -> None:
-    """Its pieces join, and the scale goes from the first communication point to the last one."""
+    """The pieces of the path join, and the scale goes from the first communication point to the last one."""
     result = simulate.run(made_scene({}, 0.5), fmu)
     figure = pictures.path(result.scene, result.runs, result.singularities)
     [lines] = figure.axes[1].collections

@@ -78,7 +78,7 @@ def test_rows_without_a_time_of_their_own_are_left_out(tmp_path: Path) -> None:
     ],
 )
 def test_a_head_that_does_not_fit_is_refused(tmp_path: Path, head: str, sentence: str) -> None:
-    """Both commands refuse it with the same sentence."""
+    """Both commands refuse such a head with the same sentence."""
     file = table(tmp_path, GRID, head)
     for reads in (player, lambda file: data.read(file, 0.0, 10.0)):
         with pytest.raises(TwinError) as refused:
@@ -123,7 +123,7 @@ def test_series_are_played_with_a_pause_and_lost_samples_are_counted(tmp_path: P
 
 
 def test_a_row_without_an_angle_is_a_lost_sample(tmp_path: Path) -> None:
-    """It is not sent, because the message would be invalid. The row's commands take effect."""
+    """Such a row is not sent, because the message would be invalid. The row's commands take effect."""
     file = tmp_path / "a.csv"
     file.write_text("time,theta[1],theta[2],tau[1],tau[2]\n0,1,2,,\n0.005,,nan,1,\n0.01,1,,,\n", encoding="utf-8")
     played = player(file)
