@@ -196,7 +196,7 @@ impl Bank {
     }
 
     /// Time update: mixing of the models, transition F, process noise. `scales` are the torque scale, N·m, the inertia torques, N·m, and an
-    /// additional random walk of the unknown force, N·m/√s. A model persists with the probability `stay` ([`persistence`]); otherwise a
+    /// additional random walk of the unknown force, N·m/√s. A model persists with the probability `stay` (`persistence`); otherwise a
     /// model drawn from `priors` replaces it.
     pub fn predict(&mut self, f: &Transition, noise: &ProcessNoise, scales: [f64; 3], stay: f64, priors: &[f64; MODELS]) {
         let end = |j, member: &mut Member| bound(j, member, |_, _| ());
