@@ -3,8 +3,7 @@
 //!
 //! | state of a step | what happens | leads to |
 //! | --- | --- | --- |
-//! | begin | the mode makes all transitions that are due; vertices are looked for; the step is planned | try, or the end: at rest, past a
-//! vertex |
+//! | begin | the mode makes all transitions that are due; vertices are looked for; the step is planned | try, or the end: at rest, past a vertex |
 //! | try | the method makes a trial; the locator looks for events on its dense output | accept, end at an event, a shorter trial |
 //! | end at an event | the step is tried up to the event; if the event is at its beginning, the step begins again in the next mode | try, begin |
 //! | accept | the method accepts the trial; its next step is as long as error and events allow | the end |

@@ -13,10 +13,10 @@ use crate::integrator::{State, System};
 const STAGES: usize = 6;
 /// Row of the end of the step.
 const END: usize = STAGES;
-/// Row of the error estimate of order 3: embedded solution minus solution. Only the solution itself satisfies the eight conditions of order
-/// 4. Among directions that satisfy the four conditions of order 3, this one violates the other four least, by 0.0006 (root of the sum of
-///    squares, weighted as in the expansion of the error). Its length makes its terms of order 5 as large as in the author's estimate,
-///    0.001.
+/// Row of the error estimate of order 3: embedded solution minus solution. Only the solution itself satisfies the eight conditions of
+/// order 4. Among directions that satisfy the four conditions of order 3, this one violates the other four least, by 0.0006 (root of the
+/// sum of squares, weighted as in the expansion of the error). Its length makes its terms of order 5 as large as in the author's estimate,
+/// 0.001.
 const ERROR: usize = END + 1;
 /// Row of the error estimate of order 2: the direction that violates the two conditions of order 3 most. With its length the estimate is as
 /// large as the author's for short steps.
