@@ -329,26 +329,29 @@ def nest(depth: int, count: int, inner: str) -> str:
         (nest(8, 10, ""), "elements"),
         (nest(3, 10, f'<path d="{" " * 100_000}M0 0"/>'), "characters"),
         (nest(4, 10, '<path d="M0 0' + "h1" * 20 + '"/>'), "curves"),
-        ('<circle r="1"/>' * 100_000, "strokes"),
+        ('<circle r="1"/>' * 99_000, "strokes"),
         ('<g><circle r="1"/></g>' * 3_500, "curves"),
         ('<rect width="1" height="1" rx="0.2"/>' * 9_000, "curves"),
         (LINE * 10_001, "strokes"),
         ('<path d="M0 0' + "h1" * 1_000_000 + '"/>', "curves"),
         ('<path d="' + "M0 0" * 1_000_000 + '"/>', "strokes"),
-        ('<path d="M0 0' + "a1 1 0 0 0 2 2 " * 90_000 + '"/>', "curves"),
+        ("<g/>" * 100_001, "elements"),
+        ('<path d="M0 0' + "a1 1 0 0 0 2 2 " * 90_000 + '"/>', "arcs"),
+        ('<path d="M0 0' + "a1 1 0 0 0 2 2 " * 20_000 + '"/>', "curves"),
         ('<polyline points="' + "1 1 " * 1_000_000 + '"/>', "curves"),
     ],
 )
 def test_work_is_bounded_by_counts(read: Read, monkeypatch: pytest.MonkeyPatch, body: str, what: str) -> None:
     """A refusal comes before the allowed numbers of elements and curves are exceeded."""
-    counts = {"elements": 0, "curves": 0}
+    counts = {"elements": 0, "curves": 0, "shapes": 0}
     most = {
         "elements": svg.MOST_ELEMENTS,
         "strokes": strokes.MOST_STROKES,
         "curves": strokes.MOST_CURVES,
         "characters": svg.MOST_CHARACTERS,
+        "arcs": svg.MOST_ARCS,
     }
-    style, cubic = svg._Sheet.style, svg._stroke
+    style, cubic, outline = svg._Sheet.style, svg._stroke, svg.Outline
 
     def counted_style(*values: object) -> object:
         counts["elements"] += 1
@@ -358,11 +361,18 @@ def test_work_is_bounded_by_counts(read: Read, monkeypatch: pytest.MonkeyPatch, 
         counts["curves"] += len(curves)
         return cubic(curves, matrix)
 
+    def counted_outline(*values: object) -> object:
+        counts["shapes"] += 1
+        return outline(*values)
+
     monkeypatch.setattr(svg._Sheet, "style", counted_style)
+    monkeypatch.setattr(svg, "Outline", counted_outline)
     monkeypatch.setattr(svg, "_stroke", counted_stroke)
     with pytest.raises(FiveBarError, match=f"it has more than {most[what]} {what}, including repetitions by <use>"):
         read(body)
     assert counts["elements"] <= svg.MOST_ELEMENTS and counts["curves"] <= strokes.MOST_CURVES
+    # Too many arcs are refused before svgelements makes one.
+    assert what != "arcs" or counts["shapes"] == 0
 
 
 def test_lines_of_a_csv_are_counted(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 from xml.etree import ElementTree
 
 import numpy as np
@@ -54,6 +54,9 @@ MOST_ELEMENTS = 100_000
 
 MOST_CHARACTERS = 10_000_000
 """Largest number of characters in their attributes."""
+
+MOST_ARCS = 30_000
+"""Largest number of arcs in path data: svgelements needs some 50 us for one, ten times as long as for a line."""
 
 MOST_DEPTH = 200
 """Largest depth of nested elements, including references by `<use>`: far below Python's recursion limit."""
@@ -170,10 +173,14 @@ class _Document:
         self.most = {
             "elements": MOST_ELEMENTS,
             "characters": MOST_CHARACTERS,
+            "arcs": MOST_ARCS,
             "strokes": most_strokes,
             "curves": most_curves,
         }
         self.spent: Counter[str] = Counter()
+        # A file with too many elements is refused before their styles are read, which takes most of the time.
+        if sum(_name(element) in (*CONTAINERS, *SHAPES) for element in root.iter()) > MOST_ELEMENTS:
+            self._refuse("elements")
         self.said: dict[str, None] = {}
         self.hidden = ""
         """A sentence on hidden elements, or ""."""
@@ -200,7 +207,10 @@ class _Document:
     def _spend(self, what: str, count: int = 1) -> None:
         self.spent[what] += count
         if self.spent[what] > self.most[what]:
-            raise FiveBarError(f"it has more than {self.most[what]} {what}, including repetitions by <use>")
+            self._refuse(what)
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise FiveBarError(f"it has more than {self.most[what]} {what}, including repetitions by <use>")
 
     # Elements
 
@@ -545,6 +555,8 @@ class _Document:
                 while group is not None and (match := group.match(data, at)):
                     count, at = count + 1, match.end()
                     self._spend("strokes" if command in "Mm" and count == 1 else "curves")
+                    if command in "Aa":
+                        self._spend("arcs")
                 if count == 0:
                     raise FiveBarError(
                         f"a path's data have {data[at - 1 : at + 30]!r}, which is no command with its numbers: "
