@@ -16,6 +16,7 @@ from PIL import Image
 
 from fivebar import map_page, statics, workspace, workspace_pictures
 from fivebar.borders import outline, stop_margin
+from fivebar.errors import FiveBarError
 from fivebar.kinematics import WORKING_MODES, Machine, Working, sines
 from fivebar.scene import Scene, Variant
 from instance import Instance
@@ -243,6 +244,26 @@ def test_tip_force_of_any_shape() -> None:
     )
     # A stretched left leg puts no load on its motor.
     assert statics.tip_force(scene, (0.0, 0.0, 0.5, 0.7), (1e9, 1e9)) > 0
+
+
+@pytest.mark.parametrize(
+    ("theta", "limits", "sentence"),
+    [
+        (np.zeros(3), (1.0, 1.0), r"theta has the shape \(3,\): the last axis must have 4 elements"),
+        (np.zeros((4, 2)), (1.0, 1.0), r"theta has the shape \(4, 2\): the last axis must have 4 elements"),
+        (0.0, (1.0, 1.0), r"theta has the shape \(\): the last axis must have 4 elements"),
+        ("left", (1.0, 1.0), "theta = 'left': 4 numbers in rad are expected"),
+        (np.zeros(4), (1.0,), r"limits = \(1.0,\): two torques of at least 0 N·m are expected"),
+        (np.zeros(4), (1.0, -1.0), r"limits = \(1.0, -1.0\): two torques"),
+        (np.zeros(4), 1.0, "limits = 1.0: two torques"),
+    ],
+)
+def test_statics_refuses_other_shapes(theta: object, limits: object, sentence: str) -> None:
+    with pytest.raises(FiveBarError, match=f"^{sentence}"):
+        statics.tip_force(made({}), theta, limits)  # type: ignore[arg-type]
+    if sentence.startswith("theta"):
+        with pytest.raises(FiveBarError, match=f"^{sentence}"):
+            statics.holding_torques(made({}), theta)  # type: ignore[arg-type]
 
 
 def test_tip_force_ends_at_direct_singularities() -> None:

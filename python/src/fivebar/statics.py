@@ -6,6 +6,7 @@ Friction, stops and the contact plane are neglected; friction can hold additiona
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fivebar.errors import FiveBarError
 from fivebar.kinematics import Machine, sines
 from fivebar.scene import Scene
 
@@ -17,7 +18,7 @@ def holding_torques(scene: Scene, theta: ArrayLike) -> Floats:
 
     Refused at direct singularities.
     """
-    theta = np.asarray(theta, dtype=np.float64)
+    theta = _postures(theta)
     machine = Machine.from_scene(scene)
     carried = np.stack(
         [
@@ -35,8 +36,10 @@ def tip_force(scene: Scene, theta: ArrayLike, limits: tuple[float, float]) -> Fl
     Torques against weight and springs are deducted first. A negative value means that the motors cannot hold even these. At
     direct singularities the value is at most 0.
     """
-    theta = np.asarray(theta, dtype=np.float64)
+    theta = _postures(theta)
     machine = Machine.from_scene(scene)
+    if np.shape(limits) != (2,) or not np.all(np.asarray(limits, dtype=np.float64) >= 0):
+        raise FiveBarError(f"limits = {limits!r:.60}: two torques of at least 0 N·m are expected, left motor first.")
     sine = sines(theta)
     # All torques are multiplied by sin(theta3 - theta2) and so stay finite at direct singularities.
     t1, t2, t3, t4 = (theta[..., i] for i in range(4))
@@ -52,6 +55,19 @@ def tip_force(scene: Scene, theta: ArrayLike, limits: tuple[float, float]) -> Fl
         forces.append(np.where(arm != 0, spare / np.where(arm != 0, np.abs(arm), 1.0), np.copysign(np.inf, spare)))
     least: Floats = np.minimum(*forces)
     return least
+
+
+def _postures(theta: ArrayLike) -> Floats:
+    """Angles of the links as an array (..., 4); NaN, as at points out of reach, is allowed."""
+    try:
+        array = np.asarray(theta, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise FiveBarError(
+            f"theta = {theta!r:.80}: 4 numbers in rad are expected, in the last axis of an array."
+        ) from None
+    if array.ndim == 0 or array.shape[-1] != 4:
+        raise FiveBarError(f"theta has the shape {array.shape}: the last axis must have 4 elements.")
+    return array
 
 
 def _weight(scene: Scene, theta: Floats) -> Floats:
