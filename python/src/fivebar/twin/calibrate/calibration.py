@@ -209,6 +209,8 @@ class Calibration:
         x = np.where(self.solution.judgement.identified, fit.x, [p.origin for p in self.solution.sought])
         commands = fit.pieces[0].path.first(offsets, fit.machine.constants(x))
         values |= {name: value for name, value in commands.items() if not name.startswith("servo.omega")}
+        if values.get("servo.enabled", False):
+            values |= fit.machine.held(list(commands), offsets)
         time = self.problem.record.series[0].time
         stop = round(time[-1] - time[0], 6) or 1.0
         return scenes_of.content(text, values, stop, 1e-3, self.problem.library.known)

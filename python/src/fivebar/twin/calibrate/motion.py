@@ -211,6 +211,7 @@ class Machine:
         self.runs += 1
         values = assemble(self.scene, self.library, self.sought, x.tolist())
         late = float(values.get(COMMANDS, self.library.variable(COMMANDS).start))
+        values |= self.held(path.samples.names, self.offsets(x))
         # The unit knows no commands before its start, so they are delayed here.
         values[COMMANDS] = 0.0
         given = path.true(self.offsets(x), self.constants(x), min(late, EARLIER))
@@ -243,6 +244,19 @@ class Machine:
         """(2): encoder reading minus true angle, rad; from the scene unless fitted."""
         added = self.scene | self.added(x)
         return np.array([float(added.get(name, 0.0)) for name in OFFSETS])
+
+    def held(self, given: Sequence[str], offsets: Array) -> Values:
+        """Servo angles of the scene that a record does not give, as true angles for other mounting angles of the encoders.
+
+        A servo closes its loop on the encoder, so that its reading stays as in the scene.
+        """
+        angles = {}
+        for i, (name, offset) in enumerate(zip(OFFSETS, offsets.tolist(), strict=True), 1):
+            servo = f"servo.theta[{i}]"
+            if servo not in given:
+                true = float(self.scene.get(servo, self.library.variable(servo).start))
+                angles[servo] = true + float(self.scene.get(name, 0.0)) - offset
+        return angles
 
     def constants(self, x: Array) -> Array:
         """(2): torque of each motor over the recorded one."""

@@ -2,7 +2,8 @@
 
 `link[1,4].mass` is one unknown: a common factor on both masses. Each unknown is a scaled number `x`; at the scene's value it is 1 (for a
 factor) or 0 (for an addition). A link's inertia changes in proportion to its mass. With its length, the centre of mass changes in
-proportion and the inertia with the square. Breakaway friction changes with Coulomb friction.
+proportion and the inertia with the square, unless the centre of mass is an unknown, too: then the same body has its joint elsewhere.
+Breakaway friction changes with Coulomb friction.
 """
 
 import math
@@ -221,7 +222,7 @@ def assemble(scene: Values, library: Library, sought: Sequence[Parameter], x: Se
                 link = member.partition(".")[0]
                 if member.endswith(".mass"):
                     scale(f"{link}.inertia", factor)
-                elif member.endswith(".length"):
+                elif member.endswith(".length") and f"{link}.com" not in given:
                     scale(f"{link}.com", factor)
                     scale(f"{link}.inertia", factor**2)
             elif member.startswith("friction.coulomb["):
