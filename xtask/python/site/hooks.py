@@ -36,6 +36,11 @@ PARTS = re.compile(
 )
 """Code, which stays, and links."""
 
+SHELL = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+WIDEST = 60
+"""Letters of a line of a shell with a comment; longer lines wrap, and their comments with them."""
+
 UNUSED = ("404.html", "*.map", "assets/javascripts/lunr/**/*.js", "sitemap.xml*", "search/search_index.json")
 """Files of theme and plugins that a page without a network and in English does not read."""
 
@@ -156,10 +161,22 @@ def on_page_markdown(markdown: str, page: Page, files: Files, **_: object) -> st
         fragment = part["link"].partition("#")[2] or own
         return f"{part['open']}{posixpath.relpath(there, posixpath.dirname(uri) or '.')}{'#' if fragment else ''}{fragment})"
 
-    markdown = PARTS.sub(placed, markdown)
+    markdown = SHELL.sub(lambda block: f"```sh\n{comments_above(block[1])}```", PARTS.sub(placed, markdown))
     if uri == "index.md" and LIVE.is_file():
         markdown = re.sub(r"^!\[.*?\]\(.*?\)$", live, markdown, count=1, flags=re.MULTILINE)
     return markdown
+
+
+def comments_above(block: str) -> str:
+    """Lines of a shell; if a line with a comment is wide, each comment stands above its command."""
+    commands = re.split(r"(?<!\\)\n", block.rstrip("\n"))
+    if not any(" # " in line and len(line) > WIDEST for line in block.splitlines()):
+        return block
+    lines = []
+    for command in commands:
+        comments = re.findall(r"(?<=\s)# .*$", command, re.MULTILINE)
+        lines += [*comments, re.sub(r"\s+# .*$", "", command, flags=re.MULTILINE)]
+    return "\n".join([*lines, ""])
 
 
 def live(picture: re.Match[str]) -> str:

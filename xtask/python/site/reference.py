@@ -86,8 +86,8 @@ def _commands() -> str:
             "",
             f"## fivebar {command.name}",
             "",
-            "```text",
-            command.get_usage(context),
+            "```sh",
+            command.get_usage(context).removeprefix("Usage: "),
             "```",
             "",
             *_help(command.help or ""),
@@ -99,10 +99,10 @@ def _commands() -> str:
 
 
 def _help(text: str) -> Iterable[str]:
-    """Paragraphs of a help text; paragraphs that click must not wrap become blocks of code."""
+    """Paragraphs of a help text; paragraphs that click must not wrap are commands and become blocks of code."""
     for paragraph in inspect.cleandoc(text).split("\n\n"):
         as_it_stands = paragraph.removeprefix("\b\n")
-        yield from [paragraph, ""] if as_it_stands is paragraph else ["```text", as_it_stands, "```", ""]
+        yield from [paragraph, ""] if as_it_stands is paragraph else ["```sh", as_it_stands, "```", ""]
 
 
 def _variables() -> str:
