@@ -98,6 +98,31 @@ def test_every_kind_of_message_is_passed_on(story: Path) -> None:
     assert kept.series["learned"] == [(at, {"payload.mass": 0.05})] and len(kept.scene["tracked"]) == SAMPLES + 1
 
 
+def test_several_writers_share_one_reading(story: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each gets all messages, and is closed also if another one fails."""
+    machine = work.machine(story)
+    readings, read = [], record.messages
+
+    def counted(*given: Any, **named: Any) -> Any:
+        readings.append(given)
+        return read(*given, **named)
+
+    monkeypatch.setattr(record, "messages", counted)
+    alone, first, second = Kept(), Kept(), Kept()
+    written = work.write(story, machine, alone)
+    assert work.write(story, machine, first, second) == written and len(readings) == 2
+    assert alone.__dict__ == first.__dict__ == second.__dict__
+
+    class Failing(Kept):
+        def close(self) -> None:
+            raise OSError("the disk is full")
+
+    before, after = Kept(), Kept()
+    with pytest.raises(OSError, match="the disk is full"):
+        work.write(story, machine, before, Failing(), after)
+    assert before.is_closed and after.is_closed
+
+
 @pytest.mark.parametrize(("format_", "package"), [("mcap", "foxglove-sdk"), ("rerun", "rerun-sdk")])
 def test_a_missing_library_is_named(
     story: Path,

@@ -30,18 +30,21 @@ def export(record: Path, mcap: bool, rerun: bool, out: Path | None) -> int:
         options.need(extra)
     from fivebar.twin.exporting import work
 
-    machine, files = work.machine(record), []
+    machine = work.machine(record)
     folder.mkdir(parents=True, exist_ok=True)
+    files: list[Path] = []
+    writers: list[work.Writer] = []
     if mcap:
         from fivebar.twin.exporting.mcap import Writer as Mcap
 
         files.append(folder / f"{record.stem}.mcap")
-        written = work.write(record, machine, Mcap(files[-1]))
+        writers.append(Mcap(files[-1]))
     if rerun:
         from fivebar.twin.exporting.rerun import Writer as Rerun
 
         files.append(folder / f"{record.stem}.rrd")
-        written = work.write(record, machine, Rerun(files[-1]))
+        writers.append(Rerun(files[-1]))
+    written = work.write(record, machine, *writers)
     refused = f"; {written.refused} rows are not valid messages and are left out" if written.refused else ""
     click.echo(f"{written.messages} messages{refused}")
     options.written(files)

@@ -1,4 +1,4 @@
-"""`fivebar export RECORD`: passes the messages of a record to a writer, as series of numbers, lines of a scene, and sentences.
+"""`fivebar export RECORD`: passes the messages of a record to writers, as series of numbers, lines of a scene, and sentences.
 
 Times are those of the messages, ns since 1970 on the machine's clock. The tip of a forecast stands at the time that it is for, so that it lies over
 the estimate of that time.
@@ -7,6 +7,7 @@ the estimate of that time.
 import cmath
 import math
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
@@ -71,19 +72,20 @@ def machine(file: Path) -> Machine:
     return Machine.from_values({name: float(scene.values[name]) for name in GEOMETRY if name in scene.values})
 
 
-def write(file: Path, of: Machine, writer: Writer) -> Written:
-    """Passes all messages to the writer and closes it."""
+def write(file: Path, of: Machine, *writers: Writer) -> Written:
+    """Reads the record once, passes all messages to each writer, and closes the writers."""
     written = Written()
 
     def refused(_: str) -> None:
         written.refused += 1
 
-    try:
+    with ExitStack() as stack:
+        for writer in writers:
+            stack.callback(writer.close)
         for message in record.messages(file, *KINDS, refused=refused):
             written.messages += 1
-            _pass(message, of, writer)
-    finally:
-        writer.close()
+            for writer in writers:
+                _pass(message, of, writer)
     return written
 
 
