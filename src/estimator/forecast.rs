@@ -5,13 +5,13 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Cholesky, Matrix2, Matrix4, Matrix4x2};
 
 use super::belief::Belief;
-use super::commands::{Step, Unknown};
 use super::error_state::{FORCE, MOVING};
 use super::flow::{self, Scene, unit_forces};
 use super::machine::{Machine, Parameters};
 use super::stored;
 use super::tangent::{Frame, LinkState, Linkage, Links, Pair, wrapped};
 use super::tuning::{FORECAST_MASS_WALK, LEAST_SIGMA, MOST_CHECKS, MOST_STEPS_OF_POINT};
+use super::unknown_commands::{Step, Unknown};
 
 /// Number of sigma points.
 const POINTS: usize = 2 * MOVING;

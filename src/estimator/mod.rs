@@ -12,7 +12,7 @@
 //! | `hypotheses.rs` | the open question about the branch, and the motions that are its possible answers |
 //! | `unaided.rs` | the estimate without an encoder that repeats its reading |
 //! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | reported properties of the estimate: forecast, uncertainty, alarm |
-//! | `commands.rs` | commands that a forecast does not know |
+//! | `unknown_commands.rs` | commands that a forecast does not know |
 //! | `doubt.rs` | whether the start is in the right assembly |
 //! | `witness.rs`, `cause.rs` | filter without faults; comparison of the explanations of an alarm |
 //! | `machine.rs`, `tuning.rs` | the estimator's model of the machine, with the master's parameters; tuned constants |
@@ -28,7 +28,6 @@ mod alarm;
 mod bands;
 pub mod belief;
 mod cause;
-mod commands;
 mod doubt;
 mod encoder;
 pub mod error_state;
@@ -47,6 +46,7 @@ pub mod tangent;
 mod trust;
 mod tuning;
 mod unaided;
+mod unknown_commands;
 mod witness;
 
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -658,7 +658,8 @@ impl Estimator {
             self.filter.predict((&frame, &step), learned.as_ref().filter(|_| known), &noise, (scales, timing), &models);
         }
         let (mass, force) = (&step.mass, self.filter.belief.force);
-        let by_commands = commands::Step { scene, motion: from, frame: &frame, mass, force: &force, transition: &step.f, h };
+        let by_commands =
+            unknown_commands::Step { scene, motion: from, frame: &frame, mass, force: &force, transition: &step.f, h };
         self.step_commands(machine, &by_commands);
         for (i, unaided) in self.unaided.iter_mut().enumerate() {
             unaided.predict((&step, &noise), [scale, observable], timing, &self.encoders[1 - i]);
@@ -681,8 +682,8 @@ impl Estimator {
     }
 
     /// Time update of the errors by commands: while no samples arrive, commands are unknown, too.
-    fn step_commands<S: Scene>(&mut self, machine: &Machine, step: &commands::Step<'_, S>) {
-        let unknown = commands::may_change(&machine.parameters) && self.encoders.iter().all(Encoder::is_silent);
+    fn step_commands<S: Scene>(&mut self, machine: &Machine, step: &unknown_commands::Step<'_, S>) {
+        let unknown = unknown_commands::may_change(&machine.parameters) && self.encoders.iter().all(Encoder::is_silent);
         if self.adrift || !unknown && self.forecast.by_commands().is_none() {
             return;
         }

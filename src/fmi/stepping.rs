@@ -6,7 +6,7 @@ use super::messages::Status;
 use super::snapshot::Scene;
 use super::{CallError, Instance, Snapshot, Stage};
 use crate::integrator::CONFIGURATION_SIGNS;
-use crate::simulation::{Cause, Settings, StepFailure};
+use crate::simulation::{FailureCause, Settings, StepFailure};
 
 impl Instance {
     /// fmi2DoStep from `point`, s, by `size`, s. Refuses a point or size as [`Clock::plan`](super::clock::Clock::plan) does, inputs that
@@ -153,7 +153,7 @@ fn apart<T>(work: impl FnOnce() -> T) -> T {
 
 /// Error of a step from `point`, s, by `size`, s, that the integrator could not take, or that has too many commands.
 fn discarded(StepFailure { elapsed, cause }: StepFailure, point: f64, size: f64) -> CallError {
-    if let Cause::Commands(refusal) = cause {
+    if let FailureCause::Commands(refusal) = cause {
         return CallError::error(format!("{refusal}."));
     }
     CallError::discard(format!(

@@ -11,7 +11,7 @@ use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::macro_steps::{Cause, MacroSteps, StepFailure};
+use super::macro_steps::{FailureCause, MacroSteps, StepFailure};
 use super::{Inputs, Model, Settings, Signal};
 use crate::integrator::Inconsistency;
 
@@ -214,7 +214,7 @@ impl Commands {
         }
         let same_time = self.waiting.pop_back_if(|last| last.due == delay.time).is_some();
         if !same_time && self.waiting.len() + 1 + usize::from(!references.is_held()) > delay.room() {
-            return Err(StepFailure { elapsed: 0.0, cause: Cause::Commands(TooManyCommands { delay }) });
+            return Err(StepFailure { elapsed: 0.0, cause: FailureCause::Commands(TooManyCommands { delay }) });
         }
         self.waiting.push_back(Command { due: delay.time, references });
         Ok(())

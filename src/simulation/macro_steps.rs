@@ -11,19 +11,19 @@ pub struct StepFailure {
     /// Time reached, s after the beginning of the call.
     pub elapsed: f64,
     /// Cause of the failure.
-    pub cause: Cause,
+    pub cause: FailureCause,
 }
 
 /// Cause of a failed advance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Cause {
+pub enum FailureCause {
     /// The integrator could not make a step.
     Step(StepError),
     /// More commands wait for their effect than there is room for.
     Commands(TooManyCommands),
 }
 
-impl fmt::Display for Cause {
+impl fmt::Display for FailureCause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Step(error) => error.fmt(f),
@@ -63,6 +63,6 @@ pub(super) struct MacroSteps {
 impl MacroSteps {
     /// Failure of the macro step with index `step`.
     pub(super) fn failure(&self, step: u64, cause: StepError) -> StepFailure {
-        StepFailure { elapsed: step as f64 * self.h, cause: Cause::Step(cause) }
+        StepFailure { elapsed: step as f64 * self.h, cause: FailureCause::Step(cause) }
     }
 }

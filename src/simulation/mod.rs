@@ -43,7 +43,7 @@ pub(crate) use learned::NEARLY_IN_PAIRS;
 pub use learned::Perturbed;
 pub use linearised::FollowedScene;
 use macro_steps::MacroSteps;
-pub use macro_steps::{Cause, StepFailure};
+pub use macro_steps::{FailureCause, StepFailure};
 pub use model::{Model, Parameters};
 pub use model_exchange::STATES;
 use run::Integrator;

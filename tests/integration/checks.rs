@@ -12,7 +12,7 @@ use fivebar::integrator::{
 use fivebar::mechanism::COORDINATES;
 use fivebar::observers::{self, Energies};
 use fivebar::simulation::bindings::{default_inputs, default_parameters};
-use fivebar::simulation::{Cause, Method, Parameters, Simulation};
+use fivebar::simulation::{FailureCause, Method, Parameters, Simulation};
 
 use crate::support::{methods_of_fixed_steps, methods_with_events};
 use fivebar::vector::Vector;
@@ -217,7 +217,7 @@ fn a_five_bar_that_loses_energy_is_stopped() {
         let mut stopped = before.clone();
         let failure = stopped.advance(&default_inputs(), 1e-3, 100).expect_err("a loss");
         assert!(
-            matches!(failure.cause, Cause::Step(StepError::Imbalance { off, admissible }) if off < -admissible),
+            matches!(failure.cause, FailureCause::Step(StepError::Imbalance { off, admissible }) if off < -admissible),
             "{method:?}: {failure}"
         );
         assert!(failure.to_string().contains("J that no force explains"), "{failure}");

@@ -8,7 +8,7 @@ use fivebar::observers;
 use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::methods::{MethodSettings, method_settings};
-use fivebar::simulation::{Cause, Inputs, Method, Simulation};
+use fivebar::simulation::{FailureCause, Inputs, Method, Simulation};
 
 use crate::support::{MGL, angle_error, fall_90_120, run, torque, unequal};
 
@@ -108,7 +108,7 @@ fn the_printed_method_ends_with_a_status() {
         assert!(simulation.state().core.q.iter().chain(&simulation.state().core.a).all(|x| x.is_finite()));
     };
     assert!(steps > 1000, "it should live for more than a second, failed after {steps} steps: {failure}");
-    assert!(matches!(failure.cause, Cause::Step(integrator::StepError::NotConverged { .. })), "{failure}");
+    assert!(matches!(failure.cause, FailureCause::Step(integrator::StepError::NotConverged { .. })), "{failure}");
 }
 
 /// Setting inputs to equal values changes no bit, and one step of H equals n steps of H/n.
@@ -208,7 +208,7 @@ fn a_tolerance_below_round_off_ends_with_a_status() {
     let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
     let before = simulation.state();
     let failure = simulation.advance(&default_inputs(), 10.0, 1).expect_err("too much to ask");
-    assert!(matches!(failure.cause, Cause::Step(integrator::StepError::TooMuchWork { most: 400_000, .. })), "{failure}");
+    assert!(matches!(failure.cause, FailureCause::Step(integrator::StepError::TooMuchWork { most: 400_000, .. })), "{failure}");
     assert_eq!(simulation.state(), before);
 }
 
@@ -223,7 +223,7 @@ fn the_work_of_a_macro_step_is_bounded_by_a_parameter() {
         let before = simulation.state();
         // A fall of 2 s with a fast passage.
         let failure = simulation.advance(&default_inputs(), 2.0, 1).expect_err("too much to do at once");
-        assert!(matches!(failure.cause, Cause::Step(integrator::StepError::TooMuchWork { most: 500, .. })), "{failure}");
+        assert!(matches!(failure.cause, FailureCause::Step(integrator::StepError::TooMuchWork { most: 500, .. })), "{failure}");
         assert!(failure.to_string().contains("solver.maxWork = 500"), "{failure}");
         assert_eq!(simulation.state(), before);
         simulation.advance(&default_inputs(), 1e-2, 200).expect("in small portions");

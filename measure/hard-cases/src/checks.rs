@@ -8,7 +8,7 @@ use fivebar::integrator::StepError;
 use fivebar::mechanism::{Assembly, Link};
 use fivebar::observers;
 use fivebar::simulation::bindings::default_parameters;
-use fivebar::simulation::{Cause, Inputs, Method, Parameters, Simulation};
+use fivebar::simulation::{FailureCause, Inputs, Method, Parameters, Simulation};
 use rayon::prelude::*;
 
 use crate::cases::kinks;
@@ -136,9 +136,9 @@ impl Scene {
         let Ok(simulation) = Simulation::new(&self.parameters, &self.held[0].0) else { return End::Refused };
         let Err((steps, failure)) = self.follow(simulation, u32::MAX) else { return End::Complete };
         match failure.cause {
-            Cause::Step(StepError::Imbalance { .. } | StepError::SignWithoutSingularity { .. } | StepError::BranchChange) => {
-                End::Stopped(failure.to_string(), self.energy_error_without_checks(steps + 1))
-            }
+            FailureCause::Step(
+                StepError::Imbalance { .. } | StepError::SignWithoutSingularity { .. } | StepError::BranchChange,
+            ) => End::Stopped(failure.to_string(), self.energy_error_without_checks(steps + 1)),
             _ => End::GivenUp(failure.to_string()),
         }
     }

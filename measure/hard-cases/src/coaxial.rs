@@ -12,7 +12,7 @@ use fivebar::effects::Law;
 use fivebar::integrator::StepError;
 use fivebar::observers;
 use fivebar::simulation::bindings::default_parameters;
-use fivebar::simulation::{Cause, Inputs, Parameters, Simulation};
+use fivebar::simulation::{FailureCause, Inputs, Parameters, Simulation};
 use rayon::prelude::*;
 
 use crate::cases::kinks;
@@ -394,11 +394,11 @@ enum Ending {
 }
 
 impl Ending {
-    fn of(cause: &Cause) -> Self {
+    fn of(cause: &FailureCause) -> Self {
         match cause {
-            Cause::Step(StepError::Imbalance { .. } | StepError::SignWithoutSingularity { .. } | StepError::BranchChange) => {
-                Self::Stopped(cause.to_string())
-            }
+            FailureCause::Step(
+                StepError::Imbalance { .. } | StepError::SignWithoutSingularity { .. } | StepError::BranchChange,
+            ) => Self::Stopped(cause.to_string()),
             _ => Self::GivenUp(cause.to_string()),
         }
     }
