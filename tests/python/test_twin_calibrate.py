@@ -545,6 +545,20 @@ def test_lengths_that_are_not_identified_are_the_scenes(library: Library) -> Non
     assert "link.length: the record is less accurate than the scene, " in result.judgement.not_identified(unknowns)[0]
 
 
+@pytest.mark.parametrize("sought_too", [[], ["link[2,3].com"]])
+def test_a_length_changes_the_inertia_unless_the_centre_of_mass_is_sought(
+    sought_too: list[str], library: Library
+) -> None:
+    """A longer link of the same shape, or the same body with its joint elsewhere."""
+    scene = {"link[2].com": 0.08, "link[2].inertia": 5e-5}
+    unknowns = parameters.parameters(["link[2,3].length", *sought_too], library, scene)
+    found = parameters.assemble(scene, library, unknowns, [1.01, *(1.0 for _ in sought_too)])
+    assert found["link[2].length"] == pytest.approx(1.01 * 0.21)
+    factor = 1.0 if sought_too else 1.01
+    assert found["link[2].com"] == pytest.approx(factor * 0.08)
+    assert found["link[2].inertia"] == pytest.approx(factor**2 * 5e-5)
+
+
 def test_derivatives_are_taken_at_the_solution(library: Library) -> None:
     """Derivatives from 0.1 mrad away were wrong by 0.01 to 0.1 % with stiff servos, and no mass was identified."""
     names = ["payload.mass", "link[1,4].mass", "link[2,3].mass"]
@@ -703,27 +717,40 @@ def test_a_chaotic_motion_is_followed_from_short_pieces_on(fmu: Path, library: L
         assert abs(value - truth) < 4 / 1.96 * bar, name
 
 
-@pytest.mark.parametrize("offsets", [(0.01, -0.02), (-0.015, 0.005)])
+@pytest.mark.parametrize(
+    ("name", "offsets"),
+    [("pick_and_place", (0.01, -0.02)), ("pick_and_place", (-0.015, 0.005)), ("servo_step", (0.01, -0.02))],
+)
 def test_offsets_are_those_of_encoders_that_servos_close_on(
-    fmu: Path, library: Library, tmp_path: Path, offsets: tuple[float, float]
+    fmu: Path, library: Library, tmp_path: Path, name: str, offsets: tuple[float, float]
 ) -> None:
-    """The error bars contain the true offsets. They did not while servos were assumed to use true angles."""
+    """The error bars contain the true offsets. They did not while servos were assumed to use true angles.
+
+    In `servo_step` the servos hold the scene's angles, and the record has no commands.
+    """
     soft = {"servo.enabled": True} | {
         f"servo.{gain}[{i}]": value for gain, value in (("kp", 2.0), ("kd", 0.02)) for i in (1, 2)
     }
     scene = tmp_path / "soft.json"
-    shipped = json.loads(
-        (Path(__file__).resolve().parents[2] / "scenes" / "pick_and_place.json").read_text(encoding="utf-8")
-    )
+    shipped = json.loads((Path(__file__).resolve().parents[2] / "scenes" / f"{name}.json").read_text(encoding="utf-8"))
     scene.write_text(json.dumps(shipped | soft), encoding="utf-8")
     file = played(tmp_path, fmu, library, str(scene), 320, offsets)
-    names = ["payload.mass", "link.mass", *parameters.OFFSETS]
+    assert ("servo.theta[1]" in file.read_text(encoding="utf-8")) == (name == "pick_and_place")
+    names = [*(["payload.mass"] if name == "pick_and_place" else []), "link.mass", *parameters.OFFSETS]
     out = ["--fmu", str(fmu), "--scene", str(scene), "--out", str(tmp_path / "out"), "--no-proposal"]
     assert main(["calibrate", str(file), *out, *sought(names)]) == 0
     figures = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
-    for name, truth in zip(parameters.OFFSETS, offsets, strict=True):
-        unknown = figures["unknowns"][name]
-        assert unknown["identified"] and abs(unknown["value"][name] - truth) < 4 / 1.96 * unknown["bar95"][name], name
+    # Encoders of 65,536 counts a turn.
+    assert max(figures["residuals_rad"]["encoder"]) < 1e-4
+    for offset, truth in zip(parameters.OFFSETS, offsets, strict=True):
+        unknown = figures["unknowns"][offset]
+        assert unknown["identified"] and abs(unknown["value"][offset] - truth) < 4 / 1.96 * unknown["bar95"][offset]
+    if name == "servo_step":
+        # The calibrated machine's servos hold the readings that this machine's hold.
+        written = scenes_of.read(tmp_path / "out" / "calibrated.json", library.known)
+        for i in (1, 2):
+            held = written[f"servo.theta[{i}]"] + written.offsets[parameters.OFFSETS[i - 1]]
+            assert held == pytest.approx(shipped[f"servo.theta[{i}]"], abs=1e-12)
 
 
 def springs(turns: int) -> dict[str, float | bool]:

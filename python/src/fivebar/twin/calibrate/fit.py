@@ -541,9 +541,10 @@ class Fitter:
 
     def doubt(self, count: int, left: Array, prior: Array, lengths: list[float]) -> None:
         """Raises `TwinError` if another assumption explains the `count` shortest pieces far better than the fit, which leaves `left`, rad."""
-        if np.all(left < np.maximum(VISIBLE, 2 * ALL_NOISE * self.noise)):
+        visible = left >= np.maximum(VISIBLE, 2 * ALL_NOISE * self.noise)
+        if not visible.any():
             return
-        if sentence := assumptions.held(self.data, left):
+        if sentence := assumptions.held(self.data, np.where(visible, left, 0.0)):
             raise TwinError(sentence)
         others = list(assumptions.others(self.machine.scene, self.data.series[0].names))
         best = others[int(np.argmin([self.under(other, count, prior, lengths, False) for other in others]))]
