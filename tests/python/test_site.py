@@ -63,6 +63,34 @@ def test_all_markdown_is_read(site: Path) -> None:
 
 
 @pytest.mark.nightly
+def test_links_have_titles_of_pages(site: Path) -> None:
+    """A link whose text is the name of a file of docs/ has the title of that page, with the address as it was."""
+    front = (site / "index.html").read_text(encoding="utf-8")
+    assert '<a href="accuracy.html"><em>Choose a method</em></a>' in front
+    notes = (site / "explicit.html").read_text(encoding="utf-8")
+    assert '<a href="notes/explicit.html"><em>notes on explicit methods</em></a>' in notes
+    named = re.compile(r'<a href="[^"]*">(?!README|ARCHITECTURE|CONTRIBUTING|CHANGELOG)[\w/.-]+\.md</a>')
+    for page in site.rglob("*.html"):
+        if "source" not in page.parts:
+            assert named.findall(page.read_text(encoding="utf-8")) == [], page.name
+
+
+@pytest.mark.nightly
+def test_wide_lines_of_a_shell_have_their_comments_above(site: Path) -> None:
+    page = (site / "calibration.html").read_text(encoding="utf-8")
+    block = re.sub(
+        r"<[^>]+>",
+        "",
+        next(part for part in re.findall(r"<code>(.*?)</code>", page, re.DOTALL) if "viscous" in part and "\n" in part),
+    )
+    assert block.splitlines()[2:5] == [
+        "# a table, and the unknowns",
+        "fivebar calibrate bench.csv --scene my_machine.json \\",
+        "    --parameters payload.mass --parameters link[1,4].mass --parameters viscous.b",
+    ]
+
+
+@pytest.mark.nightly
 def test_a_wheel_has_room_for_it(site: Path) -> None:
     """Packed, it has at most 4 MB, the limit for what a wheel carries along."""
     packed = sum(len(zlib.compress(file.read_bytes())) for file in site.rglob("*") if file.is_file())

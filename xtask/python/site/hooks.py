@@ -21,6 +21,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.nav import Navigation
 from mkdocs.structure.pages import Page
 
 HERE = Path(__file__).parent
@@ -149,6 +150,24 @@ def tracked(folder: str) -> list[str]:
     return [name for name in listed.stdout.split() if posixpath.dirname(name) == folder]
 
 
+TITLES: dict[str, str] = {}
+"""Titles of the pages of docs/ in the navigation, by place."""
+
+
+def on_nav(nav: Navigation, **_: object) -> Navigation:
+    """Stores the titles."""
+    for page in nav.pages:
+        uri = page.file.src_uri
+        if page.title and in_repository(uri).startswith("docs/"):
+            TITLES[uri] = f"notes on {page.title.lower()}" if uri.startswith("notes/") else page.title
+    return nav
+
+
+def titled(opening: str, uri: str) -> str:
+    """The text of a link, which is the page's title, in italics, if the Markdown has the name of the file."""
+    return f"[*{TITLES[uri]}*](" if uri in TITLES and re.fullmatch(r"\[[\w./-]+\.md\]\(", opening) else opening
+
+
 def on_page_markdown(markdown: str, page: Page, files: Files, **_: object) -> str:
     """Leads links of a page of the repository to their places in the site."""
     uri = page.file.src_uri
@@ -156,10 +175,13 @@ def on_page_markdown(markdown: str, page: Page, files: Files, **_: object) -> st
     def placed(part: re.Match[str]) -> str:
         target = elsewhere(page.file, part, files)
         if not target:
-            return part[0]
+            if not part["link"]:
+                return part[0]
+            there = posixpath.normpath(posixpath.join(posixpath.dirname(uri), part["link"].partition("#")[0]))
+            return f"{titled(part['open'], there)}{part['link']})"
         there, _, own = place(target).partition("#")
         fragment = part["link"].partition("#")[2] or own
-        return f"{part['open']}{posixpath.relpath(there, posixpath.dirname(uri) or '.')}{'#' if fragment else ''}{fragment})"
+        return f"{titled(part['open'], there)}{posixpath.relpath(there, posixpath.dirname(uri) or '.')}{'#' if fragment else ''}{fragment})"
 
     markdown = SHELL.sub(lambda block: f"```sh\n{comments_above(block[1])}```", PARTS.sub(placed, markdown))
     if uri == "index.md" and LIVE.is_file():
