@@ -68,7 +68,7 @@ def test_links_have_titles_of_pages(site: Path) -> None:
     front = (site / "index.html").read_text(encoding="utf-8")
     assert '<a href="accuracy.html"><em>Choose a method</em></a>' in front
     notes = (site / "explicit.html").read_text(encoding="utf-8")
-    assert '<a href="notes/explicit.html"><em>notes on explicit methods</em></a>' in notes
+    assert '<a href="notes/explicit.html"><em>notes on DOP853 in the link angles</em></a>' in notes
     named = re.compile(r'<a href="[^"]*">(?!README|ARCHITECTURE|CONTRIBUTING|CHANGELOG)[\w/.-]+\.md</a>')
     for page in site.rglob("*.html"):
         if "source" not in page.parts:

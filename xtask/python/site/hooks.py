@@ -151,7 +151,7 @@ def tracked(folder: str) -> list[str]:
 
 
 TITLES: dict[str, str] = {}
-"""Titles of the pages of docs/ in the navigation, by place."""
+"""Titles of the pages of docs/ in the navigation, by place; of notes their headings, such as "notes on the estimator"."""
 
 
 def on_nav(nav: Navigation, **_: object) -> Navigation:
@@ -159,7 +159,8 @@ def on_nav(nav: Navigation, **_: object) -> Navigation:
     for page in nav.pages:
         uri = page.file.src_uri
         if page.title and in_repository(uri).startswith("docs/"):
-            TITLES[uri] = f"notes on {page.title.lower()}" if uri.startswith("notes/") else page.title
+            heading = page.file.content_string.partition("\n")[0].removeprefix("# ")
+            TITLES[uri] = heading[:1].lower() + heading[1:] if uri.startswith("notes/") else page.title
     return nav
 
 
