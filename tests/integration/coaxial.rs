@@ -335,41 +335,48 @@ fn beside_straight_postures(seed: u64, friction: bool) -> Vec<Case> {
 }
 
 /// Beside a straight posture friction holds what it can hold on the branch, and not more, by every method. Motions of 0.2 s magnify local
-/// errors less than a thousand times; a machine that wrongly rests is off by 1e-2 rad and more.
+/// errors less than a thousand times; a machine that wrongly rests is off by 2e-3 rad and more. Among the machines of seed 9 are a
+/// parallelogram, a kite and a rhombus at rest that the closure of the tip would let friction hold, among those of seed 72 one with endless
+/// stick-slip events.
 #[test]
 fn friction_beside_a_straight_posture_holds_no_more_than_its_bounds() {
     const CALLS: u64 = 200;
-    let mut moved = 0;
-    for (number, case) in beside_straight_postures(72, true).iter().enumerate() {
-        let end = |method, tolerance| {
-            let mut simulation = case.simulation(method, tolerance, "nothing");
-            let start = simulation.state().angles();
-            let done = simulation.advance(&default_inputs(), 1e-3, CALLS);
-            done.unwrap_or_else(|failure| panic!("{number}, {method:?}, {tolerance:e} rad: {failure}"));
-            (start, simulation.state().angles())
-        };
-        let (start, expected) = end(Method::Dop853, 1e-11);
-        moved += u32::from(largest_difference(start, expected) > 1e-2);
-        for (method, tolerance) in [(Method::I3alp, 3e-9), (Method::I3alp, 1e-11), (Method::Automatic, 3e-9)] {
-            let off = largest_difference(end(method, tolerance).1, expected);
-            assert!(off < 3e-6, "{number}, {method:?}, {tolerance:e} rad: {off:e} rad off");
+    for seed in [9, 72] {
+        let mut moved = 0;
+        for (number, case) in beside_straight_postures(seed, true).iter().enumerate() {
+            let end = |method, tolerance| {
+                let mut simulation = case.simulation(method, tolerance, "nothing");
+                let start = simulation.state().angles();
+                let done = simulation.advance(&default_inputs(), 1e-3, CALLS);
+                done.unwrap_or_else(|failure| panic!("{seed}, {number}, {method:?}, {tolerance:e} rad: {failure}"));
+                (start, simulation.state().angles())
+            };
+            let (start, expected) = end(Method::Dop853, 1e-11);
+            moved += u32::from(largest_difference(start, expected) > 1e-2);
+            for (method, tolerance) in [(Method::I3alp, 3e-9), (Method::I3alp, 1e-11), (Method::Automatic, 3e-9)] {
+                let off = largest_difference(end(method, tolerance).1, expected);
+                assert!(off < 3e-6, "{seed}, {number}, {method:?}, {tolerance:e} rad: {off:e} rad off");
+            }
         }
+        assert!(moved >= 9, "{seed}: only {moved} machines moved");
     }
-    assert!(moved >= 9, "only {moved} machines moved");
 }
 
 /// Slow motions beside a straight posture stay on their branch by the conserving method and by `i3alp`; the reference uses the branch's own
-/// coordinates.
+/// coordinates. In the twelve coordinates the conserving method would leave the branch with a rhombus of seed 3, by 0.4 rad, and with a
+/// parallelogram of seed 2.
 #[test]
 fn slow_motions_beside_a_straight_posture_stay_on_their_branch() {
-    for (number, case) in beside_straight_postures(36, false).iter().enumerate() {
-        let expected = case.expected(0.2);
-        for (method, h, allowed) in [(Method::I3alpConserving, 2.5e-4, 1e-4), (Method::I3alp, 1e-3, 1e-5)] {
-            let mut simulation = case.simulation(method, 3e-9, "nothing");
-            let done = simulation.advance(&default_inputs(), h, (0.2 / h).round() as u64);
-            done.unwrap_or_else(|failure| panic!("{number}, {method:?}: {failure}"));
-            let off = largest_difference(simulation.state().angles(), expected);
-            assert!(off < allowed && energy_error(&simulation) < 1e-6, "{number}, {method:?}: {off:e} rad off");
+    for seed in [2, 3, 36] {
+        for (number, case) in beside_straight_postures(seed, false).iter().enumerate() {
+            let expected = case.expected(0.2);
+            for (method, h, allowed) in [(Method::I3alpConserving, 2.5e-4, 1e-4), (Method::I3alp, 1e-3, 1e-5)] {
+                let mut simulation = case.simulation(method, 3e-9, "nothing");
+                let done = simulation.advance(&default_inputs(), h, (0.2 / h).round() as u64);
+                done.unwrap_or_else(|failure| panic!("{seed}, {number}, {method:?}: {failure}"));
+                let off = largest_difference(simulation.state().angles(), expected);
+                assert!(off < allowed && energy_error(&simulation) < 1e-6, "{seed}, {number}, {method:?}: {off:e} rad off");
+            }
         }
     }
 }
