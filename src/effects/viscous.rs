@@ -1,7 +1,7 @@
 //! Viscous: friction proportional to the joint rate, T_j = −b_j w_j.
 //!
 //! w_j is the rate of joint j (left base, left elbow, tip, right elbow, right base); +T_j acts on its first link and −T_j on its second.
-//! C = b_j over the two links, K = 0; the power b_j w_j² is dissipated. Default: 1e-4 N·m·s/rad, a lubricated miniature bearing with its
+//! In each joint C = b_j and K = 0; the power b_j w_j² is dissipated. Default: 1e-4 N·m·s/rad, a lubricated miniature bearing with its
 //! seal. Limits: linear; no dependence on load or temperature.
 
 use super::force_law::{ForceLaw, PowerFlow, Properties};

@@ -163,7 +163,8 @@ fn tip_by_geometry(machine: &Machine, at: (&LinkState, &Frame), known: Known) ->
 fn tip_of_models(machine: &Machine, motion: &LinkState, known: Known) -> [(f64, Matrix2<f64>); MODELS] {
     let frame = machine.linkage.frame(&motion.theta);
     let (tip, added) = (frame.tip(), tip_by_geometry(machine, (motion, &frame), known));
-    // If exact links lie folded onto each other, the tip is on the motors' axis at any motor angle, and its variance would be 0.
+    // If motors are coaxial and links of known length lie folded, the tip stays on the motor axis at any motor angle, and its variance
+    // would be 0.
     let least = Matrix2::from_diagonal_element((LEAST_SIGMA * machine.linkage.length).powi(2));
     std::array::from_fn(|j| {
         let Member { weight, error, covariance } = &known.belief.bank.members[j];

@@ -21,7 +21,7 @@ use super::tuning::{
     MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
 };
 
-/// Unknown force, and errors of the force and of a motion. The motion is stored elsewhere.
+/// Unknown force, and the filters for errors of force and motion. The motion is stored elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Belief {
     /// Unknown force as motor torques, N·m, and a tip force, N: the smallest inputs that have its effect.

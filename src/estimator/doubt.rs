@@ -76,7 +76,7 @@ impl Doubt {
         if let Self::Open(branches) = self { Some(&branches.other) } else { None }
     }
 
-    /// Opens the doubt at the first samples of both encoders, unless the assemblies coincide.
+    /// Starts to track both assemblies at the first samples of both encoders; ends the doubt if the assemblies coincide.
     pub(super) fn begin(&mut self, machine: &Machine, motion: &LinkState) {
         if matches!(self, Self::Pending) {
             let other = Alternative::of_start(machine, motion);

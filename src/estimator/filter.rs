@@ -155,8 +155,8 @@ impl Filter {
         Some(Correction { error, turn })
     }
 
-    /// Time update along a step that begins at a frame. Parameters are learned if their flow is given; else their correlations with the
-    /// motion are lost.
+    /// Time update over a step, with the frame at its start. If the flow `learned` is given, parameters are learned; else learning pauses
+    /// and their correlations with the motion are lost.
     pub(super) fn predict(
         &mut self,
         (frame, step): (&Frame, &Propagation),

@@ -431,7 +431,7 @@ impl Alternative {
             let (end, to) = if matches!(moves, Moves::Straight(_)) && from.smallest < NEAR_VERTEX {
                 straight_on(linkage, &self.motion, h)?
             } else if linkage.posture(&flow.end.theta).gram(linkage.length).1 < NEAR_VERTEX {
-                // Next to a vertex J cannot close the loop.
+                // Next to a vertex J is nearly singular, so the loop is not closed.
                 (flow.end, linkage.frame(&flow.end.theta))
             } else {
                 linkage.closed(flow.end)?

@@ -431,8 +431,9 @@ impl Estimator {
         nis([left.innovation, right.innovation]) > GATE && nis(exchanged) <= GATE
     }
 
-    /// Restarts the estimate if the samples of both encoders have been far from it for long; a single encoder may be faulty. Next to a
-    /// vertex, samples are not used, and one encoder far from the estimate suffices. Returns the new motion.
+    /// Restarts an estimate that is adrift once both encoders have settled, or one that the samples of both encoders have contradicted for
+    /// long; a single encoder may be faulty. Next to a vertex, where samples do not correct the estimate, one encoder is enough. Returns
+    /// the new motion.
     fn restart(&mut self, machine: &Machine, motion: &LinkState, measurements: &[Option<Measurement>; 2]) -> Option<LinkState> {
         self.restarted = false;
         let [Some(left), Some(right)] = measurements else { return None };

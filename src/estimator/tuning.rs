@@ -350,7 +350,7 @@ pub(super) const CONSISTENCY_LENGTH: f64 = 100.0;
 /// Consistency test: largest mean normalised innovation squared; the expected value is 1.
 pub(super) const LARGEST_CONSISTENT_NIS: f64 = 4.0;
 
-// ---- Causes: notes, "Causes", by the table `causes`.
+// ---- Causes: notes, "Causes"; runs: `cargo xtask estimator --only causes`.
 
 /// Model of the bank with the noise for the filter that assumes no fault. With a tenth of this model's walks more motor torques are named
 /// at 0.1°, and fewer in falls.

@@ -50,7 +50,7 @@ struct Content {
     clock: Option<Clock>,
     /// Parameters in force that differ from their start values.
     values: Values,
-    /// Boxed: a state is moved several times while it is read, which bounds the stack of a call.
+    /// Boxed to bound the stack of a call: a state is moved several times while it is read.
     run: Option<Box<Run>>,
     signal: Signal,
     /// Parameters set by the master that differ from the parameters in force, if [`Snapshot::is_tuned`].

@@ -153,7 +153,8 @@ impl LinearSolver {
         Dense::factor(pose, &self.mass_matrix(), regularization).solve(b, c)
     }
 
-    /// Solves the saddle-point system with A₀. Fails if A₀ must be sufficiently positive definite but is not, or cannot be raised.
+    /// Solves the saddle-point system with A₀. Fails under [`Definiteness::Required`] if A₀ is not sufficiently positive definite, or if A₀
+    /// cannot be raised.
     #[inline(always)]
     pub fn solve_tangent(&self, of: &TangentSystem<'_>, b: &Coordinates, c: &Multipliers) -> Result<Solution, StepError> {
         match self.solve {
@@ -162,8 +163,8 @@ impl LinearSolver {
         }
     }
 
-    /// Solves the saddle-point system leg by leg, for an A₀ that couples no links. Fails if A₀ must be sufficiently positive definite but
-    /// is not.
+    /// Solves the saddle-point system leg by leg, for an A₀ that couples no links. Fails under [`Definiteness::Required`] if A₀ is not
+    /// sufficiently positive definite.
     #[inline(always)]
     pub fn solve_tangent_by_legs(&self, of: &TangentSystem<'_>, b: &Coordinates, c: &Multipliers) -> Result<Solution, StepError> {
         Ok(self.factor_two_leg(of)?.solve(b, c))

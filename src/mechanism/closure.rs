@@ -232,7 +232,8 @@ fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start:
         let w2 = (first + c3 * w3) / c2;
         (w2, w3)
     });
-    // Velocity of the tip relative to the turning line through the elbows, times the arrow; positive on the side of the assembly mode.
+    // Velocity of the tip relative to the turning line through the elbows, times the signed distance from left to right elbow; positive on
+    // the side of the assembly mode.
     let side = |(w2, _): (f64, f64)| start.assembly.sign() * c2 * ((c2 - c3) * w2 - first);
     let (w2, w3) = if side(roots[0]) >= side(roots[1]) { roots[0] } else { roots[1] };
     Ok([w1, w2, w3, w4])

@@ -95,7 +95,7 @@ pub(crate) mod tests {
         x
     }
 
-    /// Products with the step's matrices in all coordinates.
+    /// Products with J_b, J_c and K_b in all twelve coordinates.
     impl Secant {
         /// The product J_bᵀ Λ.
         pub(crate) fn discrete_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {

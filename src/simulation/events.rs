@@ -204,8 +204,8 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
 }
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// The mode with stick-slip states determined from coordinates and velocities. A mode in the twelve coordinates has no closure branch,
-    /// so the joints that a branch keeps still are determined again.
+    /// The mode with stick-slip states determined from coordinates and velocities. A mode in the twelve coordinates stores no closure
+    /// branch, so the branch and the joints that it locks are determined again.
     fn with_resolved_friction(&self, mode: Mode, q: &Coordinates, v: &Coordinates) -> Mode {
         if !self.features().may_stick {
             return mode;

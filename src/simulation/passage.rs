@@ -219,7 +219,7 @@ impl AngleSystem<'_> {
         if self.model().conservative {
             return Some((acceleration, time_to_boundary(reach, position, speed, acceleration)?));
         }
-        // Friction may be stiff: implicit Euler rule a = f(v + a t), solved by bisection between 0 and f(v); t follows from a.
+        // Friction may be stiff: a = f(v + a t) (implicit Euler) is solved by bisection between 0 and f(v), in turn with t from a.
         let at_start = acceleration;
         let (mut duration, mut last) = (f64::INFINITY, f64::NAN);
         for _ in 0..MOST_ITERATIONS {

@@ -20,8 +20,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PATIENCE = 300.0
 """Seconds after which a process counts as hung. No test judges speed by it: a busy machine may be many times slower than an idle one."""
 
-# Files with the longest tests. Each of two processes starts with half of all tests and takes some of the other's when it has none left: a long
-# test that starts last would keep one process waiting.
+# Files with the longest tests, to run first: a long test that starts last would keep one of the two processes waiting.
 LONGEST = ("test_conformance.py", "test_twin_full.py", "test_wheel.py")
 
 

@@ -399,7 +399,7 @@ def test_torques_of_a_plan_move_the_unit_as_planned(new: Callable[..., Instance]
         }
         values |= {f"init.omega[{i + 1}]": rates[i] for i in (0, 1)} | {f"tau[{i + 1}]": torque[i] for i in (0, 1)}
         unit = new().initialise(values)
-        # Differences of accelerations of some 1e4 rad/s2 by 1 N.m, rounded.
+        # Round-off: torques come from differences of accelerations, some 1e4 rad/s2 per N.m.
         assert [unit.get("alpha[1]"), unit.get("alpha[2]")] == pytest.approx(wanted, abs=1e-8)
 
 

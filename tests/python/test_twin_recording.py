@@ -24,7 +24,7 @@ from twin_support import follower
 
 
 def table(folder: Path, times: np.ndarray, head: str = "time,measured.theta[1],measured.theta[2]") -> Path:
-    """A table whose angles are the number of the row, mrad."""
+    """A table with angles of k mrad and 1 rad + k mrad in row k."""
     file = folder / "a.csv"
     rows = [f"{round(t, 6)!r},{1e-3 * k!r},{1 + 1e-3 * k!r}" for k, t in enumerate(times.tolist())]
     file.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")

@@ -88,7 +88,7 @@ def _joined(name: str, times: Any, values: Any, points: Floats) -> Floats:
     at, course = _numbers(f"time of {name}", times), _numbers(name, values)
     if at.ndim != 1 or at.shape != course.shape or not len(at):
         raise FiveBarError(
-            f"the input '{name}' has {at.size} times and {course.size} values: the numbers must be equal"
+            f"the input '{name}' has {course.size} values but {at.size} values of time: the counts must be equal"
         )
     if not np.all(np.isfinite(at)):
         raise FiveBarError(f"the times of input '{name}' must be finite")

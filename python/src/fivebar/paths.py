@@ -416,7 +416,7 @@ class Outcome:
 
 
 def compare(made: Plan, result: Result) -> Outcome:
-    """Compares the machine's motion in a run of the plan's scene with the plan."""
+    """Compares a run of the plan's scene with the plan."""
     if result.failure is not None:
         raise FiveBarError(f"the machine did not finish its drawing: {result.failure}")
     tip = np.stack([result["tip.x"], result["tip.y"]], axis=-1)

@@ -191,4 +191,4 @@ def _first_mistake(machine: Machine, mode: Working, points: Floats, tip: Floats,
             machine.motor_rates(machine.inverse(place, mode).theta, rate)
         except ValueError as error:
             return f"signals 'tip.x', 'tip.y' at {time:g} s: {error}"
-    raise AssertionError("one of the places was refused")
+    raise AssertionError("no single place was refused")

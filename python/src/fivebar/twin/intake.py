@@ -160,7 +160,7 @@ class Intake:
 
     def _step(self, message: Message, now: int) -> None:
         self.series, self.candidate, self.arrived = _Series(message.seq, message.time), None, now
-        # After the clock was set back far, its earlier times no longer count.
+        # Times from before the clock was set far back no longer count.
         followed = self.newest_time > max(now, message.time) + NEAR
         self.newest_time = message.time if followed else max(self.newest_time, message.time)
         self.came.add(message.seq)

@@ -117,7 +117,7 @@ def of_columns(given: Any) -> Recording:
     for name, column in columns.items():
         if len(column) != len(columns[TIME]):
             raise TwinError(
-                f"{GIVEN} has {len(columns[TIME])} times and {len(column)} values of {name}: the numbers must be equal"
+                f"{GIVEN} has {len(columns[TIME])} values of time but {len(column)} of {name}: the counts must be equal"
             )
     return _of_table(GIVEN, columns, [name for name in found if name not in COLUMNS])
 

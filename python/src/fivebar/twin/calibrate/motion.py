@@ -81,9 +81,9 @@ class Path:
         """(all knots - 1, m): rates of the commands after each knot but the last."""
 
     def true(self, offsets: Array, constants: Array, delay: float = 0.0) -> "ActingCommands":
-        """Drive commands as they act, from the first knot of the samples to the last one, for a delay of the servos' commands in s.
+        """Drive commands as they act, from the first to the last knot of the samples; servo commands act `delay` s late.
 
-        Servo angles become true angles: a servo closes its loop on the encoder, which includes the offset. Torques are multiplied by their constants.
+        Servo angles become true angles: a servo closes its loop on the encoder, which includes the offset. Torques are multiplied by `constants`.
         """
         factors = 1.0 + (constants - 1.0) @ self.torques
         commands = np.asarray((self.commands - offsets @ self.turned) * factors)

@@ -230,7 +230,7 @@ def run(trials: int, first: int, machines: str, fmu: FilePath, out: FilePath) ->
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Array:
-    """A column of the trials, (trials, unknowns)."""
+    """The entry `name` of all trials, (trials, unknowns)."""
     return np.array([row[name] for row in rows])
 
 

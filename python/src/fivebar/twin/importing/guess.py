@@ -101,5 +101,5 @@ def propose(found: Recording, used: Map, scene: Scene, verdict: Verdict) -> Map:
 
 
 def _changed(entry: Entry, sign: int, zero: float) -> Entry:
-    """The entry for sign x value + zero."""
+    """The entry that converts to sign x v + zero, if `entry` converts to v."""
     return replace(entry, sign=sign * entry.sign, offset=sign * entry.offset + zero)
