@@ -215,8 +215,8 @@ mod tests {
         let radius = |models: &[(f64, [f64; 2])]| {
             radius_of_95_percent(&models.iter().map(|(weight, variances)| (*weight, (*variances).into())).collect::<Vec<_>>())
         };
-        // Quantiles of the Rayleigh, half-normal and Rayleigh distributions; tolerances: bisection; eight directions for a line; the loud
-        // model.
+        // Expected are quantiles of the Rayleigh, half-normal and Rayleigh distributions. The tolerances allow for the bisection, for the
+        // eight directions on a line, and for the loud model.
         for (models, expected, tolerance) in [
             (&[(1.0, [4.0, 4.0])][..], 2.0 * (-2.0 * 0.05_f64.ln()).sqrt(), 1e-8),
             (&[(1.0, [1.0, 0.0])], 1.959964, 1e-3),

@@ -164,7 +164,8 @@ impl Prediction {
         mean * mean / (variance - excess)
     }
 
-    /// Normalised innovation squared of the loudest model, with the noise reduced by `excess`, rad².
+    /// Normalised innovation squared of the loudest model, which has the largest process noise. `excess`, rad², reduces the noise of the
+    /// sample.
     pub fn nis_of_loudest_model(&self, excess: f64) -> f64 {
         let (residual, variance, _) = self.each[MODELS - 1];
         residual * residual / (variance - excess)

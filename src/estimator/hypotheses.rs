@@ -317,7 +317,7 @@ impl Hypotheses {
         }
     }
 
-    /// Accepts an undecided doubt about the side of the estimate; `odds` is the log-likelihood of the other side.
+    /// Records that the side of the estimate is undecided (`doubt.rs`); `odds` is the log-likelihood of the other side.
     pub(super) fn doubt_side(&mut self, odds: f64) {
         self.mirror_odds = self.mirror_odds.max(odds.clamp(NEGLIGIBLE_ODDS, 0.0));
     }

@@ -384,7 +384,7 @@ impl Learning {
         &Persistent { unlearned, shown, samples }: &Persistent,
         rests: bool,
     ) {
-        // The quietest model comes first.
+        // The quietest model, with the smallest process noise, comes first.
         let quietest = &self.models[0];
         let products = PRODUCTS * PRODUCTS * shown * shown * quietest.mass_variance();
         let further = (unlearned * unlearned + products) * samples;

@@ -79,7 +79,7 @@ impl Parameters {
         [self.sigma0_length, self.sigma0_offset, self.sigma0_eccentricity, self.sigma0_scale] == [0.0; 4]
     }
 
-    /// Variances of both readings due to errors of the encoders' discs and scales, rad², which are never learned. A scale error is
+    /// Variances of both readings due to errors of the encoders' discs and scales, rad². These errors are never learned. A scale error is
     /// proportional to the angle.
     pub(super) fn variances_of_encoders(&self, theta: &Links) -> [f64; 2] {
         MEASURED.map(|link| {

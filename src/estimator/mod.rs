@@ -268,8 +268,8 @@ impl Estimator {
         self.doubt.follow(&error, &turn);
     }
 
-    /// Compares the other motions, if any are tracked, with the samples that were used. The first samples of both encoders open the doubt
-    /// about the start.
+    /// Compares the other motions, if any are tracked, with the samples that were used. From the first samples of both encoders on, both
+    /// assemblies of the start are tracked (`doubt.rs`).
     fn judge_motions(&mut self, machine: &Machine, estimate: &mut Estimated, residuals: &[Residual; 2]) {
         if self.hypotheses.are_open() || self.hypotheses.are_quiet() || self.doubt.is_open() {
             self.judge_alternatives(machine, estimate, residuals);
@@ -378,8 +378,8 @@ impl Estimator {
         Residual::Accepted(Accepted { measurement: *measurement, nis, likelihood })
     }
 
-    /// Sample of encoder i for the witness of a start in doubt. Samples that are confined to a quantisation interval do not distinguish the
-    /// assemblies.
+    /// Sample of encoder i for the comparison of both assemblies (`doubt.rs`). Samples that are confined to a quantisation interval do not
+    /// distinguish the assemblies.
     fn seen(&self, i: usize, measurement: &Measurement) -> Option<Measurement> {
         // The persistent error is left out: it hardly changes, so it does not affect the accelerations.
         self.doubt.is_open().then(|| self.encoders[i].unconfined(&measurement.with_persistent_error(i, 0.0)))?

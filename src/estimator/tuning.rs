@@ -47,8 +47,8 @@ pub(super) const BY_NOISE: [f64; MODELS] = [0.45, 0.45, 0.0999, 0.0001];
 /// NEES of pushes was 10.2, 7.0, 6.0 and 5.4 with a probability of 0.005, 0.1, 0.2 and 0.3 for the loudest model.
 pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
 /// Distance |sin(θ₃ − θ₂)| from a direct singularity below which motors hardly determine the posture. There, quantised encoders use the
-/// priors [`LIKELY_MODELS`], no start is doubted, and corrections do not fix the motor angles. Chosen by slow crossings: if starts are
-/// doubted from 0.1 on, 2 of 800 are lost, with 0.3 none.
+/// priors [`LIKELY_MODELS`], starts are not tracked in both assemblies, and corrections do not fix the motor angles. Chosen by slow
+/// crossings: if starts are tracked in both assemblies from 0.1 on, 2 of 800 are lost, with 0.3 none.
 pub(super) const NEAR_SINGULARITY: f64 = 0.3;
 /// Smallest likelihood ratio of a model in one sample: it lets a model recover after an outlier.
 pub(super) const LEAST_LIKELIHOOD: f64 = 1e-12;
@@ -267,21 +267,21 @@ pub(super) const QUIET_MODELS: [f64; MODELS] = [0.999, 0.0, 0.0, 0.001];
 pub(super) const INITIAL_FORCE_SIGMA: f64 = 0.001;
 /// Variance of the unknown force that is added when the other assembly replaces the estimate, in squared torque scales.
 pub(super) const REPLACEMENT_FORCE_VARIANCE: f64 = 0.04;
-/// Model of the bank with the noise for the witnesses of a doubted start: the quietest.
+/// Model of the bank with the noise for the filters that test a start (`doubt.rs`): the quietest.
 pub(super) const DOUBT_MODEL: usize = 0;
 /// Standard deviation of the noise of the filters that test a start, relative to the quietest model's. With 1 the evidence drifts towards
 /// the assembly whose motors it moves more: 34 of 600 right starts in stiff swings are abandoned in silence (`--only faults --part 30
 /// --seeds 1450000000`, row `nothing, stiff swing, 16 bit`), with 0.1 none.
 pub(super) const DOUBT_NOISE: f64 = 0.1;
-/// Standard deviation of the unknown force in both assemblies of a doubted start, in torque scales: static loads are no evidence.
+/// Standard deviation of the unknown force while both assemblies of a start are tracked, in torque scales: static loads are no evidence.
 pub(super) const DOUBT_FORCE: f64 = 2.0;
-/// Evidence for and against the assembly of the start at which the doubt ends. With 12 for the start 1 of 1,200 wrong starts was kept, with
-/// 16 none of 2,100 (table `starts`). With 16 against the start 7 of 800 right starts, with late samples and in stiff swings, were replaced
+/// Evidence for and against the assembly of the start that decides the question. With 12 for the start 1 of 1,200 wrong starts was kept,
+/// with 16 none of 2,100 (table `starts`). With 16 against the start 7 of 800 right starts, with late samples and in stiff swings, were replaced
 /// in silence; with 24 one was (table `faults`, `--part 10 --seeds` 1240000000 and 1250000000, with the model's own noise in place of
 /// [`DOUBT_NOISE`]).
 pub(super) const DOUBT_ENDS: [f64; 2] = [16.0, 24.0];
-/// Log-odds of the other assembly before any sample, if the doubt ends at a direct singularity. With equal odds 7 of 2,400 crossings were
-/// undecided at their end, with this value none.
+/// Log-odds of the other assembly before any sample, if the motion reaches a direct singularity before the start's assembly is decided.
+/// With equal odds 7 of 2,400 crossings were undecided at their end, with this value none.
 pub(super) const START_ODDS: f64 = -5.0;
 /// Mean of r²/S in the better assembly above which neither assembly explains the samples, and the number of samples that this decision
 /// needs. A wrong start presses the tip of `haptic` into its wall.

@@ -17,7 +17,7 @@ use super::tuning::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_C
 pub(super) struct Unaided {
     /// Errors while the reading repeats.
     bank: Option<Bank>,
-    /// Duration, s.
+    /// Time since the first repeated reading, s.
     time: f64,
     /// Size of the unknown force at the start, N·m.
     force: f64,

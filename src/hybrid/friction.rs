@@ -205,7 +205,7 @@ fn all(_: StickSlip) -> bool {
     true
 }
 
-/// States in which all places slip, except those that the closure branch keeps still.
+/// States in which all places slip, except those that the closure branch locks.
 fn slipping<const N: usize>(stick_slip: &StickSlips, constraints: &FrictionConstraints<N>) -> StickSlips {
     let mut slipping = stick_slip.opened();
     for FrictionConstraint { at, .. } in constraints.iter().filter(|constraint| !stick_slip.is_still(constraint.at.place)) {

@@ -147,7 +147,7 @@ impl StickSlips {
         self.places[place] == StickSlip::Still
     }
 
-    /// The states with all places inactive, except the still ones.
+    /// The states with all places inactive, except those that the closure branch locks.
     pub fn opened(&self) -> Self {
         let mut stick_slip = Self::OPEN;
         (0..FRICTION_PLACES).filter(|place| self.is_still(*place)).for_each(|place| stick_slip.set(place, StickSlip::Still));

@@ -13,7 +13,7 @@ pub enum StepError {
         violation: f64,
         /// Admissible constraint violation, m.
         tolerance: f64,
-        /// Largest last correction of a coordinate, m or rad, which has a bound too.
+        /// Largest last correction of a coordinate, m or rad; corrections have a bound, too.
         correction: f64,
     },
     /// The tangent matrix is not positive definite: the step is too long for this posture and load.

@@ -333,7 +333,7 @@ fn controls_rates<const N: usize, const M: usize>(settings: &Settings, system: &
     settings.adaptive && system.features().stiff
 }
 
-/// A step so short that q̈ and λ change only by round-off.
+/// Takes a step so short that q̈ and λ change only by round-off.
 #[cold]
 fn taylor_step<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,

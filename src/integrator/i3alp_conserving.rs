@@ -317,7 +317,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         Ok(())
     }
 
-    /// A step so short that q̈ changes only by round-off.
+    /// Takes a step so short that q̈ changes only by round-off.
     fn taylor_step<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &mut self,
         system: &S,

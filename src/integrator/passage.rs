@@ -60,7 +60,8 @@ pub struct StepLimits {
     /// Factor on e of the saddle-point systems. e must stay small compared with the smallest eigenvalue of S, which falls with the square
     /// of the distance to the vertex.
     pub regularization: f64,
-    /// Energy before the step, if it must be conserved: close to a vertex, round-off in the direction of the velocity changes it.
+    /// Energy before the step, if the step has to conserve it: close to a vertex, round-off in the direction of the velocity changes the
+    /// energy.
     pub energy: Option<EnergyBalance>,
 }
 

@@ -131,7 +131,7 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
 /// Angles of the four links, rad, from the proximal angles.
 fn angles(geometry: &Geometry, span: &ElbowSpan, start: &Start) -> [f64; 4] {
     let [_, l2, l3, _] = geometry.lengths();
-    // Position of the tip `along` and `across` the arrow, without cancellation when the tip is close to it.
+    // Position of the tip `along` and `across` the line from left to right elbow, without cancellation when the tip is close to this line.
     let &ElbowSpan { arrow, distance, .. } = span;
     let along = ((l2 - l3) * (l2 + l3) + distance * distance) / (2.0 * distance);
     let across_squared = (l2 + l3 - distance) * (l3 + distance - l2) * (l2 + along) / (2.0 * distance);

@@ -28,8 +28,7 @@ pub struct AngleSystem<'a> {
 }
 
 impl<'a> AngleSystem<'a> {
-    /// Five-bar of a model in its link angles, with constant `inputs`; `turns` are the whole turns of the links, which are counted
-    /// separately.
+    /// Five-bar of a model in its link angles, with constant `inputs`; `turns` are the whole turns of the links that the angles omit.
     pub(super) fn of(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self::new(FiveBar::new(model, inputs, turns))
     }

@@ -12,7 +12,7 @@ use crate::mechanism::closure;
 use crate::mechanism::coordinates::link_angles;
 
 impl Run {
-    /// Angles of links 1 to 4, rad, without the whole turns, which are counted separately, and their rates, rad/s.
+    /// Angles, rad, and rates, rad/s, of links 1 to 4. Whole turns are counted separately and not part of the angles.
     pub(super) fn motion(&self, model: &Model) -> LinkState {
         let of = |q: &Coordinates, v: &Coordinates| LinkState::new(link_angles(q), link_angles(v));
         match &self.integrator {

@@ -228,7 +228,7 @@ trait ByMacroSteps: Copy {
     /// Makes one macro step of h seconds. A failure leaves the state undefined.
     fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError>;
 
-    /// Coordinates, without the whole turns, which are counted separately, and counters.
+    /// Coordinates and counters. Whole turns are counted separately and not part of the coordinates.
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters);
 
     /// Advances by macro steps with constant `inputs`. A failure changes nothing.

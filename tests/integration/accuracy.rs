@@ -158,7 +158,7 @@ fn the_free_fall_turns_when_it_should() {
         simulation.advance(&default_inputs(), 1e-5, target - steps).expect("steps");
         steps = target;
         let velocity = observers::motion(simulation.model(), &simulation.state()).tip_velocity;
-        // Half a unit of the last digit times an acceleration of some 10 m/s².
+        // Tolerance: half a unit of the last digit of t, times an acceleration of some 10 m/s².
         assert!(velocity.norm() < 1e-4, "t = {t}: {velocity}");
     }
 }

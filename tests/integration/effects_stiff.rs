@@ -82,7 +82,7 @@ fn stops_and_contact_are_hit_at_20_rad_per_s() {
             let energies = observers::energies(simulation.model(), &simulation.state());
             hit |= energies.potential > 1e-3 * before;
             assert!(energies.kinetic + energies.potential <= before * (1.0 + 1e-3), "{effect}: {energies:?}");
-            // The default tolerance in some ten hits.
+            // The bound allows for the error of some ten hits at the default tolerance.
             assert!(energies.error.abs() < 1e-3 * before, "{effect}: {energies:?}");
         }
         let counters = simulation.state().core.counters;

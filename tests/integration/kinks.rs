@@ -286,7 +286,7 @@ fn absurd_machines_take_bounded_work() {
     let inputs = default_inputs();
     let mut explicit = Simulation::new(&absurd(Method::Dop853), &inputs).expect("a scene");
     explicit.advance(&inputs, 1e-3, 18_500).expect("18.5 s");
-    // 12 evaluations each.
+    // Each sub-step takes 12 evaluations.
     assert!(explicit.counters().substeps + explicit.counters().rejected < 20_000, "{:?}", explicit.counters());
 
     let parameters = absurd(Method::I3alp);

@@ -398,7 +398,7 @@ fn friction_and_payload_are_never_below_0() {
     (truth.effects.viscous.b, truth.effects.payload.mass) = ([0.0; 5], 0.0);
     let mut pair = Pair::new(&model, &truth, torques);
     let mut least = f64::INFINITY;
-    // Nothing is learned while the start is in doubt.
+    // Nothing is learned while both assemblies of the start are tracked.
     pair.follow(3000, |twin| {
         let [values, _] = twin.learned();
         least = VISCOUS.chain([PAYLOAD]).fold(least, |least, i| least.min(values[i]));

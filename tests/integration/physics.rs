@@ -45,7 +45,7 @@ fn a_symmetric_fall_stays_symmetric() {
     run(&mut simulation, &default_inputs(), 1e-3, 1.0);
     let theta = THETA.map(|i| simulation.state().core.q[i]);
     for pair in [theta[0] + theta[3], theta[1] + theta[2]] {
-        // 1e-16 grown by e^10.
+        // Tolerance: round-off of 1e-16, grown by e^10.
         assert!((pair - std::f64::consts::PI).abs() < 1e-11, "{theta:?}");
     }
 }

@@ -519,7 +519,7 @@ fn a_tip_that_sticks_goes_through_the_stretched_arm() {
         let tolerances = if size == CALL { [1e-8, 5e-9, 3e-9, 2e-9, 1e-9].as_slice() } else { &[3e-9] };
         for tolerance in tolerances {
             let off = farthest(after_calls(&stretched(Method::I3alp, *tolerance), size, calls), reference);
-            // A bounce of 10 ms: some hundred local errors.
+            // In a bounce of 10 ms some hundred local errors add up.
             assert!(off < 100.0 * tolerance, "{tolerance:e} rad, calls of {size} s: {off:e} rad");
         }
     }

@@ -286,7 +286,7 @@ def test_ecos(fmu: Path, reals: list[str], expected: list[float]) -> None:
 
 @pytest.mark.full
 def test_ecos_runs_a_unit_of_one_s_own_with_nothing_set(own: Unit, new_own: New, reals: list[str]) -> None:
-    """Also its enumerations, which this master cannot set; and again after a reset."""
+    """This master cannot set enumerations, but the unit has its own; the run is repeated after a reset."""
     from ecospy import EcosSimulation, EcosSimulationStructure
 
     instance = new_own().initialise()

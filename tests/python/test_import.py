@@ -299,7 +299,7 @@ def test_changes_of_commands_are_proposed(tmp_path: Path, capsys: pytest.Capture
 
 
 def test_no_change_of_a_command_is_counted_across_a_gap(tmp_path: Path) -> None:
-    """Nor from one series to the next."""
+    """Changes from one series to the next are not counted either."""
     kept = (GRID < 0.5) | (GRID > 0.9)
     commands = [0.01 * (GRID > 0.7), 5.0 + 0.01 * (GRID > 0.7)]
     head = "time,theta[1],theta[2],tau[1]"

@@ -115,7 +115,7 @@ def test_the_guid_follows_from_the_values(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_nothing_set_is_the_plain_unit_with_the_values_set(mine: Unit, new: New) -> None:
-    """Bit for bit, also after a reset, which restores the unit's own values."""
+    """All values are equal bit for bit, also after a reset, which restores the unit's own values."""
     plain, own = new().initialise(MINE), Instance(mine.model, mine.directory).initialise()
     for _ in range(2):
         for step in range(50):

@@ -298,7 +298,7 @@ def test_a_motion_continues_on_another_machine(bench: Bench, model: ModelDescrip
 
 @on_every_machine
 def test_a_unit_of_one_s_own_has_the_same_bits_on_every_machine(own_bench: Bench, own: Unit, machine: Machine) -> None:
-    """With no values set; also with a state stored on the way."""
+    """No value is set; runs that continue from a stored state have the same bits, too."""
     scripts = {"own": motion(own.model, {}, LONGEST)}
     here = own_bench.run(HERE, scripts)
     assert not [line for line in here["own"][0] if "status" in line], "it does not run to its end"

@@ -30,7 +30,7 @@ ABOVE: Final[dict[str, Any]] = {"loc": "lower right", "bbox_to_anchor": (1, 1.0)
 STYLE: Final["dict[RcKeyType, Any]"] = {
     "figure.dpi": 120,
     "figure.constrained_layout.use": True,
-    # Start of the tight layout: near its result, so that the ticks fit.
+    # The tight layout starts from these values: they are near its result, so that the ticks fit.
     "figure.subplot.left": 0.08,
     "figure.subplot.right": 0.98,
     "figure.subplot.bottom": 0.08,
@@ -83,7 +83,7 @@ def laid_out(figure: "Figure") -> Iterator[None]:
             axes.yaxis.set_major_locator(FixedLocator(axes.yaxis.get_majorticklocs().tolist()))
     if engine := figure.get_layout_engine():
         engine.execute(figure)
-    # By the style, a figure without an engine gets the constrained one, also when matplotlib has written a file.
+    # Otherwise the style would give a figure without an engine the constrained one, also when matplotlib has written a file.
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
         yield

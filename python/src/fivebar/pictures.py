@@ -217,7 +217,7 @@ def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> "Figure"
     for lane, kind in enumerate(KINDS):
         met = [event.time for event in events if event.kind == kind]
         if not met:
-            # Marks without clipping would make room for a point in the corner of the figure.
+            # A series of unclipped marks without points would make room for a point in the corner of the figure.
             continue
         # Combined and constraint singularities are rare: a thin mark would be lost in a run of 50 s.
         width = 2.5 if kind in GRAVE else 1.0

@@ -9,8 +9,8 @@
 //!
 //! The first row gives u_q = hγ (r_q + u_v), which leaves one equation per coordinate: (1/(hγ) − C − hγ K) u_v = r_v + hγ K r_q.
 //!
-//! Work is another component of z, and its rate is the power P. Of its row of J only products with the u are needed, and only one of them
-//! for the end of the step: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
+//! Work is another component of z, with the power P as its rate. Its row P′ of J appears only in products with the u. The end of the step
+//! needs only one such product: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
 
 mod tableau;
 

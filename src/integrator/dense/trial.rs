@@ -43,8 +43,8 @@ pub(super) trait Trial<const N: usize>: Sized {
     }
 
     /// Ends the step at q and q̇: projects them onto the constraints and, if the scheme evaluates its ends, solves for q̈, λ and power
-    /// there. `energy_target` is the energy that must be conserved and the time since then, s; `work` is the work over the step, J. `None`
-    /// if the projection or the energy fails, or the end is not finite.
+    /// there. `energy_target` is the energy at the beginning, if the step has to conserve it, and the length of the step, s; `work` is the
+    /// work over the step, J. `None` if the projection or the energy fails, or the end is not finite.
     fn project<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,

@@ -54,8 +54,8 @@ impl Matrix {
 }
 
 impl<S: MeanSlopes> OpenStep<'_, S> {
-    /// Newton's increments of all unknowns, for slopes of the mean forces and e of the tip's closure, 1/kg, which does not move the root.
-    /// Not finite if the matrix is singular.
+    /// Newton's increments of all unknowns, for slopes of the mean forces and the regularisation e of the tip's closure, 1/kg. The value
+    /// of e does not move the root. Increments are not finite if the matrix is singular.
     #[inline(never)]
     pub(super) fn by_whole_tangent(
         &self,

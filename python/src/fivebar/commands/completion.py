@@ -1,6 +1,6 @@
 """Shell completion of scenes, variables, columns and methods: types of parameters that accept any text.
 
-Names come from the XML inside the unit, read by the standard library, for a key press waits for the answer.
+Names come from the XML inside the unit. The standard library reads it, because a user waits for the answer after each key.
 """
 
 from typing import TYPE_CHECKING

@@ -98,7 +98,7 @@ class Bus:
 
     def _message(self, _client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
         if message.retain:
-            # The broker may have stored it for days, and a command would be executed at every connection.
+            # The broker may have stored this message for days, and a stored command would be executed at every connection.
             log.warning("ignored: a retained message of %r", message.topic[:100])
             return
         try:

@@ -40,7 +40,7 @@ RATES: Final = {name: name.replace("theta", "omega") for name in SERVOS}
 """Command for the rate of each commanded angle, by the command of the angle."""
 
 PLANNED: Final = 1024
-"""Samples of the plan kept in memory. Forecasts start every few samples, so that most of their plan is that of the last one."""
+"""Samples of the plan kept in memory. Forecasts start every few samples, so most of their plan was already used by the forecast before."""
 
 STAMPS: Final = {name: name.replace("theta", "time") for name in MEASURED}
 """Input for the time of each measured angle, by the input of the angle."""

@@ -119,7 +119,7 @@ class Intake:
             return True
         own = abs(message.time - now) <= NEAR
         if own and self.newest_time > now + NEAR:
-            # The newest time is from another clock, and no limit for this one.
+            # The newest time is from another clock, so it does not limit this series.
             return True
         return (own or abs(message.time - self.series.time - silent) <= NEAR) and message.time > self.newest_time
 

@@ -1,4 +1,4 @@
-"""Samples that a machine publishes, heard at a broker for some seconds."""
+"""Receives the samples that a machine publishes at a broker, for some seconds."""
 
 import threading
 import time

@@ -27,13 +27,13 @@ UNITS: Final = {TIME: "s", "theta": "rad", "omega": "rad/s", "tau": "N.m", "tip.
 """Units of the columns, by the end of their names."""
 
 TRUE: Final = {name.removeprefix("measured."): name for name in MEASURED}
-"""Columns of runs, which stand for measured ones that are missing."""
+"""Columns of a simulated run: each replaces a missing measured column."""
 
 COLUMNS: Final = frozenset({TIME, *MEAS_FIELDS, *TRUE})
 """Names of the columns that are read."""
 
 GIVEN: Final = "the record"
-"""Name of columns without a file in messages."""
+"""Name in messages of a record without a file."""
 
 SLOW: Final = 0.5
 """Limit of a plausible sampling period, s: machines are sampled faster, and times in ms look slower."""

@@ -16,7 +16,7 @@ class Unit(NamedTuple):
 LONGER: Final = (Unit("microseconds", 10**3), Unit("milliseconds", 10**6), Unit("seconds", 10**9))
 
 SHORTER: Final = {"ms": ("milliseconds", 1e-3), "us": ("microseconds", 1e-6), "ns": ("nanoseconds", 1e-9)}
-"""Units shorter than s as a map writes them: their names, and s in them."""
+"""Units shorter than s as a map writes them: name, and length in s."""
 
 
 def of_time(time: float, first: float = FIRST, last: float = LAST) -> Unit | None:

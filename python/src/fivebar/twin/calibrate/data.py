@@ -64,7 +64,7 @@ class Samples:
         return replace(self._rows(first, last), earlier=earlier)
 
     def _rows(self, first: int, last: int, before: "Samples | None" = None) -> "Samples":
-        """Some samples, behind others."""
+        """Samples first to last - 1, preceded by the samples `before`."""
         rows = [self.time[first:last], self.angles[first:last], self.commands[first:last]]
         if before is not None:
             own = (before.time, before.angles, before.commands)

@@ -46,7 +46,7 @@ LEVELS: Final = (0.1, 0.5, 2.0)
 from the guessed start."""
 
 MANY: Final = 20
-"""Number of pieces of the second length from which only those of the shortest pieces are fitted that start one of them: they suffice to begin with."""
+"""If there are at least this many pieces of the second length, only shortest pieces that start one of them are fitted: these suffice to begin with."""
 
 FEWEST: Final = 20
 """Minimum number of samples in a piece."""
@@ -187,7 +187,7 @@ class Fitter:
         self.stages: list[Stage] = []
         self.delayed = any(p.name == DELAY for p in self.sought)
         self.late = any(p.name == COMMANDS for p in self.sought) or float(machine.scene.get(COMMANDS, 0.0)) > 0.0
-        """Whether commands act late: then the first ones of a series act on samples whose own commands are unknown."""
+        """Whether commands act late: then commands from before a series act on its first samples, and are unknown."""
 
     # --- pieces -----------------------------------------------------------------------------------------------------------------
 

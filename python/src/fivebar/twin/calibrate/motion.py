@@ -76,7 +76,7 @@ class Path:
         self.torques = np.array([[float(name == f"tau[{i}]") for name in samples.names] for i in (1, 2)])
         """(2, m): 1 if a command is the torque of a motor."""
         self.late = np.array([name.startswith("servo.") for name in samples.names], dtype=bool)
-        """(m): whether a command is one of a servo, which may act late."""
+        """(m): whether a command is for a servo; commands for servos may act late."""
         self.slopes = slopes
         """(all knots - 1, m): rates of the commands after each knot but the last."""
 
@@ -270,7 +270,7 @@ class Machine:
         self.unit.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the unit: a pickled fit has all that was found, and makes no further runs."""
+        """The state without the unit: a pickled fit makes no further runs."""
         return {name: value for name, value in vars(self).items() if name != "unit"}
 
 

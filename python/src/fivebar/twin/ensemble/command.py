@@ -147,7 +147,7 @@ def from_state(file: Path, library: Library, spread: dict[str, float] | None, co
 def of_state(
     state: bytes, clock: float | None, library: Library, spread: dict[str, float] | None, common: dict[str, Any]
 ) -> Plan:
-    """A plan that starts from a stored state; without a clock its time is the one in the state."""
+    """A plan that starts from a stored state at the time `clock`; if `clock` is None, at the time in the state."""
     unit = Unit.of(library)
     try:
         unit.restore(state, clock)

@@ -150,7 +150,7 @@ def of_recording(given: Recording) -> Source:
 
 
 def tip_unit(given: Recording, machine: Machine) -> WrongUnit | None:
-    """A doubt about the unit of the tip, if another one fits the machine."""
+    """The question about the unit of the tip, if another unit than m fits the machine."""
     if not all(name in given.columns for name in TRACKED):
         return None
     far = float(np.nanmax(np.hypot(*(given.columns[name] for name in TRACKED)), initial=0.0))
@@ -268,7 +268,7 @@ def _assignment(verdict: Verdict) -> Iterator[Finding]:
     for each in verdict.evidence:
         yield Finding("ok" if each.is_believed else "?", "signs", f"by {guess.evidence(each)}")
     if verdict.chosen != redundancy.ASSIGNMENTS[0]:
-        # One of several that fit is a guess.
+        # If several assignments fit, the chosen one is a guess.
         yield Finding("fix" if len(verdict.possible) == 1 else "?", "signs", verdict.chosen.words())
     if others := guess.alike(verdict):
         yield Finding("?", "signs", others)
@@ -319,7 +319,7 @@ def _start(given: Recording, scene: Scene, verdict: Verdict, report: Report) -> 
 
 
 def _propose(source: Source, scene: Scene, verdict: Verdict, report: Report) -> None:
-    """Adds the map, or else orders to the publishing program and mounting angles for the scene."""
+    """Adds the map; for a live machine, adds advice for the publishing program and mounting angles for the scene."""
     proposed = guess.propose(source.recording, source.used, scene, verdict)
     if not source.is_live:
         if proposed != source.used or source.findings:
