@@ -276,9 +276,9 @@ pub(super) const DOUBT_NOISE: f64 = 0.1;
 /// Standard deviation of the unknown force while both assemblies of a start are tracked, in torque scales: static loads are no evidence.
 pub(super) const DOUBT_FORCE: f64 = 2.0;
 /// Evidence for and against the assembly of the start that decides the question. With 12 for the start 1 of 1,200 wrong starts was kept,
-/// with 16 none of 2,100 (table `starts`). With 16 against the start 7 of 800 right starts, with late samples and in stiff swings, were replaced
-/// in silence; with 24 one was (table `faults`, `--part 10 --seeds` 1240000000 and 1250000000, with the model's own noise in place of
-/// [`DOUBT_NOISE`]).
+/// with 16 none of 2,100 (table `starts`). With 16 against the start 7 of 800 right starts, with late samples and in stiff swings, were
+/// replaced in silence; with 24 one was (table `faults`, `--part 10 --seeds` 1240000000 and 1250000000, with the model's own noise in place
+/// of [`DOUBT_NOISE`]).
 pub(super) const DOUBT_ENDS: [f64; 2] = [16.0, 24.0];
 /// Log-odds of the other assembly before any sample, if the motion reaches a direct singularity before the start's assembly is decided.
 /// With equal odds 7 of 2,400 crossings were undecided at their end, with this value none.

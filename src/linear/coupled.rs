@@ -1,8 +1,8 @@
 //! The linear solve for scenes whose effects couple links through K and C: friction at elbows and tip, contact.
 //!
 //! Such effects couple the four link angles and the position of link 2. The block A_I of A₀ for these six inner coordinates is full and
-//! need not be symmetric; the six outer coordinates keep their masses. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e is then full, 10×10: outer
-//! coordinates add 1/m between neighbouring joints, inner coordinates add Φ_I A_I⁻¹ Φ_Iᵀ.
+//! need not be symmetric; the six outer coordinates keep their masses. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e is then full, 10×10:
+//! outer coordinates add 1/m between neighbouring joints, inner coordinates add Φ_I A_I⁻¹ Φ_Iᵀ.
 
 use crate::dynamics::{INNER, INNER_COUNT};
 use crate::integrator::Kkt;
