@@ -575,6 +575,21 @@ def test_a_length_changes_the_inertia_unless_the_centre_of_mass_is_sought(
     assert found["link[2].inertia"] == pytest.approx(factor**2 * 5e-5)
 
 
+def test_a_centre_of_mass_that_is_not_identified_stays_the_scenes(library: Library) -> None:
+    """It moved with the link's length into the written scene, which then had another inertia than the fitted machine, too."""
+    scene: parameters.Values = {"link[2].com": 0.08, "link[2].inertia": 5e-5}
+    unknowns = parameters.parameters(["link[2].length", "link[2].com", "link[3].com"], library, scene)
+    solution = SimpleNamespace(
+        sought=unknowns,
+        fit=SimpleNamespace(x=np.array([1.01, 1.02, 1.03])),
+        judgement=SimpleNamespace(identified=[True, False, True]),
+    )
+    problem = SimpleNamespace(scene=scene, library=library)
+    found = calibration.Calibration(problem, solution).start()  # type: ignore[arg-type]
+    assert found["link[2].length"] == pytest.approx(1.01 * 0.21) and found["link[3].com"] == pytest.approx(1.03 * 0.105)
+    assert found["link[2].com"] == 0.08 and found["link[2].inertia"] == 5e-5
+
+
 def test_derivatives_are_taken_at_the_solution(library: Library) -> None:
     """Derivatives from 0.1 mrad away were wrong by 0.01 to 0.1 % with stiff servos, and no mass was identified."""
     names = ["payload.mass", "link[1,4].mass", "link[2,3].mass"]
@@ -680,6 +695,11 @@ def test_one_record_of_a_chaotic_motion_tells_everything(
             # Four standard deviations: one of some 16,000 is further off.
             assert truth is None or abs(value - truth) < 4 / 1.96 * found["bar95"][member], member
     assert figures["unknowns"]["payload.mass"]["bar95"]["payload.mass"] < 1e-4
+    written = scenes_of.read(tmp_path / "out" / "calibrated.json", library.known)
+    for i in (1, 2, 3, 4):
+        assert written[f"link[{i}].com"] == 0.105
+        # With the inertia in proportion to the square of the length it would be 2e-3 off.
+        assert written[f"link[{i}].inertia"] == pytest.approx(config.machine.hidden[f"link[{i}].inertia"], rel=1e-3)
 
 
 @pytest.mark.nightly

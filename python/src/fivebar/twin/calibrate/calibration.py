@@ -176,10 +176,15 @@ class Calibration:
         return found
 
     def start(self) -> Values:
-        """Start values with the estimates; other values are the assumed ones."""
-        kept = [k for k, known in enumerate(self.solution.judgement.identified) if known]
-        x = [float(self.solution.fit.x[k]) for k in kept]
-        return assemble(self.problem.scene, self.problem.library, [self.solution.sought[k] for k in kept], x)
+        """Start values with the estimates; other values stay as assumed, also centres of mass of links with estimated lengths."""
+        found = [
+            (p, float(x) if known else p.origin)
+            for p, x, known in zip(
+                self.solution.sought, self.solution.fit.x, self.solution.judgement.identified, strict=True
+            )
+            if known or p.name.endswith(".com")
+        ]
+        return assemble(self.problem.scene, self.problem.library, [p for p, _ in found], [x for _, x in found])
 
     def content(self) -> dict[str, Any]:
         """The scene of the calibrated machine as the content of a file, with the start of the record.
