@@ -975,6 +975,32 @@ def test_a_fit_that_does_not_converge_ends(
     assert "--fmu" not in printed.out
 
 
+def test_the_time_limit_is_the_given_one_and_keeps_a_finished_fit(
+    library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Trials of other assumptions named the rest of the time as the limit; a limit in a repetition dropped the fit before."""
+    columns = made(library, [*SCALE, OFFSETS[0]], [1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 0.05], 1.2, base=WEIGHTLESS)
+    problem = calibration.prepare(columns, WEIGHTLESS, [*SCALE, OFFSETS[0]], library, 0.0, 10.0, "")
+    machine = motion.Machine(library, problem.scene, problem.sought)
+    fitter = fit.Fitter(machine, problem.record, "rate", 10.0, lambda _: None, 100.0)
+    fitter.ends = 0.0
+    other = fit.assumptions.Assumption("", {}, lambda samples: samples)
+    with pytest.raises(fit.TimeLimitExceeded, match=r"^the fit did not converge within 100 s of CPU \(--patience\)"):
+        fitter.under(other, 1, np.eye(len(problem.sought)), [0.1], False)
+    machine.close()
+
+    def late(*_: object) -> None:
+        raise fit.TimeLimitExceeded("late")
+
+    monkeypatch.setattr(fit.Fitter, "again", late)
+    said: list[str] = []
+    found = problem.solve("rate", 10.0, 100.0, said.append)
+    assert "no time is left for this repetition (--patience): the fit before stays" in said
+    assert set(found.values) == {OFFSETS[0]}
+    assert abs(found.values[OFFSETS[0]] - 0.01) < 4 / 1.96 * found.bars[OFFSETS[0]]
+    assert "a common factor of " in found.not_identified[0]
+
+
 def test_the_command_that_is_printed_runs_the_same_unit(
     fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,7 +21,7 @@ from fivebar.scene import Scene
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import recording
 from fivebar.twin.calibrate import data, scenes
-from fivebar.twin.calibrate.fit import ALL_NOISE, Fit, Fitter, Show, least_noise
+from fivebar.twin.calibrate.fit import ALL_NOISE, Fit, Fitter, Show, TimeLimitExceeded, least_noise
 from fivebar.twin.calibrate.identify import Judgement, interval, judge
 from fivebar.twin.calibrate.motion import Between, Machine
 from fivebar.twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters, trusted
@@ -371,7 +371,7 @@ def solve(
     fitter = Fitter(machine, given, between, longest, show, patience)
     sought = list(machine.sought)
     free = np.full(len(sought), np.inf)
-    fit = fitter.run()
+    fit = alone = fitter.run()
     first = judge(fit, sought, free)
     held = free if taken is None else np.where(first.sigma > taken, taken, np.inf)
     judgement = judge(fit, sought, held) if np.any(held < free) else first
@@ -384,7 +384,13 @@ def solve(
             break
         if names := [p.name for p, known in zip(sought, judgement.identified, strict=True) if not known]:
             show(f"not identified: {', '.join(names)}; fitted once more with these at their values in the scene")
-        later = fitter.again(fit, pins, held)
+        try:
+            later = fitter.again(fit, pins, held)
+        except TimeLimitExceeded:
+            show("no time is left for this repetition (--patience): the fit before stays")
+            if fit is alone:
+                judgement = first
+            break
         if not (np.all(fit.sigma < ALL_NOISE * fitter.noise) and np.any(later.sigma > CONTRADICTED * fit.sigma)):
             fit, judgement = later, _both(judgement, judge(later, sought, held))
         elif np.any(held < free):

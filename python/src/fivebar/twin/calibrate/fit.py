@@ -562,7 +562,8 @@ class Fitter:
         machine = Machine(self.machine.library, self.machine.scene | other.scene, self.sought)
         machine.tolerance(LOOSE)
         data = Data([other.samples(series) for series in self.data.series], [])
-        fitter = Fitter(machine, data, self.between, self.longest, lambda _: None, self.ends - time.process_time())
+        fitter = Fitter(machine, data, self.between, self.longest, lambda _: None, self.patience)
+        fitter.ends = self.ends
         x = np.array([parameter.start for parameter in self.sought])
         try:
             pieces = fitter.first(x, lengths)
