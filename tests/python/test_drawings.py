@@ -185,6 +185,20 @@ def test_hidden_shapes_are_not_drawn(read: Read, name: str, value: str) -> None:
         assert box(made)[2] == pytest.approx(1) and "Hidden elements are not drawn" in " ".join(made.left_out), body
 
 
+@pytest.mark.parametrize(
+    "body",
+    [
+        '<path fill="currentColor" color="transparent" d="M0 0 H10"/>',
+        '<g color="rgb(0 0 0 / 0)"><path style="fill: none; stroke: currentcolor" d="M0 0 H10"/></g>',
+        '<g stroke="currentColor" fill="none"><path style="color: transparent" d="M0 0 H10"/></g>',
+    ],
+)
+def test_the_current_colour_may_hide_a_shape(read: Read, body: str) -> None:
+    made = read(body + '<line x2="1" fill="currentColor"/>')
+    assert box(made)[2] == pytest.approx(1) and "Hidden elements are not drawn" in " ".join(made.left_out)
+    assert box(read(re.sub("transparent|rgb.*?\\)", "red", body)))[2] == pytest.approx(10)
+
+
 def test_shapes_that_only_seem_hidden_are_drawn(read: Read) -> None:
     bodies = [
         '<g visibility="hidden"><path visibility="visible" d="M0 0 H10"/></g>',

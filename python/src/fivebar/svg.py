@@ -69,6 +69,7 @@ SHAPES = ("path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
 CONTAINERS = ("svg", "g", "a", "switch", "use")
 
 INHERITED = {
+    "color": "black",
     "visibility": "visible",
     "fill": "black",
     "fill-opacity": "1",
@@ -652,7 +653,8 @@ def _is_zero(text: str) -> bool:
 def _is_visible(inherited: Style) -> bool:
     """Whether a shape is visible: not hidden, and filled or stroked with a colour that is not transparent."""
     painted = [
-        not _is_clear(inherited[paint]) and not any(_is_zero(inherited[size]) for size in sizes)
+        not _is_clear(inherited["color" if _word(inherited, paint) == "currentcolor" else paint])
+        and not any(_is_zero(inherited[size]) for size in sizes)
         for paint, sizes in (("fill", ("fill-opacity",)), ("stroke", ("stroke-opacity", "stroke-width")))
     ]
     return _word(inherited, "visibility") not in ("hidden", "collapse") and any(painted)
