@@ -358,16 +358,27 @@ def test_a_haptic_pantograph(recordings: Path, judge: Judge) -> None:
 
 
 def test_a_serial_arm(recordings: Path, fmu: Path, tmp_path: Path) -> None:
-    """Four runs by both motors, commands known: 0.1 s ahead the twin's median error is at most a quarter of a constant velocity's. Impacts of the
-    joints' play are not the model's, and the largest errors follow them."""
+    """Four runs by both motors, with the authors' parameters and known commands: the goals of docs/recordings.md for this arm are met."""
     command = [sys.executable, str(REPOSITORY / "examples" / "serial_arm.py")]
     subprocess.run([*command, str(recordings / "dfki_double_pendulum"), str(tmp_path)], check=True)
     words = ["validate", str(tmp_path / "record.csv"), "--scene", str(tmp_path / "scene.json"), "--fmu", str(fmu)]
-    main([*words, "--out", str(tmp_path / "out"), "--known-commands"])
+    # Exit code 0: at least 90 % of innovations and forecasts are inside. Measured: 93.6 %, 94.7 % (0.1 s) and 100 % (0.5 s).
+    assert main([*words, "--out", str(tmp_path / "out"), "--known-commands"]) == 0
     content = json.loads((tmp_path / "out" / "validation.json").read_text(encoding="utf-8"))
     part = content["held_out"]
-    near = part["forecasts"]["0.1"]
+    # All samples of the four files; the estimate leaves none of them.
     assert part["series"] == 4 and content["samples"]["followed"] == 19987
-    assert part["innovations"]["coverage95"] > 0.85 and near["coverage95"] > 0.8
+    # No false alarm: nothing pushes the arm.
+    assert content["alarms"] == 0
+    for ahead, share in (("0.1", 0.5), ("0.5", 1.0)):
+        forecasts = part["forecasts"][ahead]
+        best = np.min([other["rms_mrad"] for other in forecasts["others"].values()], axis=0)
+        # Goal: half the rms error of the best baseline at 0.1 s (measured: 0.17 and 0.28), below it at 0.5 s (0.32 and 0.26).
+        assert np.all(np.array(forecasts["rms_mrad"]) <= share * best)
+        # Goal: bands at most 4 times too wide. Measured: 1.0 and 1.9 times.
+        assert forecasts["relative_width95"] <= 4
+    near = part["forecasts"]["0.1"]
     velocity = near["others"]["constant velocity"]["median_mrad"]
-    assert all(4 * own < other for own, other in zip(near["median_mrad"], velocity, strict=True))
+    # Impacts of the joints' play dominate the rms, but not the median. Measured: 7.11 of 58.4 mrad and 9.82 of 81.6 mrad, an eighth.
+    # Without the elbow's rotor the error is twice as large, a quarter.
+    assert all(6 * own < other for own, other in zip(near["median_mrad"], velocity, strict=True))
