@@ -126,7 +126,7 @@ def test_options_are_those_of_the_commands(block: Block) -> None:
 KINDS: dict[str, Callable[[Any, Path], object]] = {
     "my-machine.md": lambda _, file: read(file),
     "hardware.md": lambda content, _: maps.parse(content),
-    "recordings.md": lambda content, _: maps.parse(content),
+    "recordings.md": lambda content, file: read(file) if "description" in content else maps.parse(content),
     "ensembles.md": lambda _, file: what_if.read(file),
     "pipeline.md": lambda content, file: decode(f"fivebar/bench/{content['measurement']}", file.read_bytes()),
 }
