@@ -408,8 +408,8 @@ pub(super) fn persistence(h: f64, switch_time: f64) -> f64 {
 }
 
 impl Intensities {
-    /// Process noise of model j: spectral density of the white torque, (N·m)²·s, and variance rate of the unknown force, (N·m)²/s. The
-    /// scales are the torque scale, N·m, the inertia torques, N·m, and an additional random walk of the force, N·m/√s.
+    /// Process noise of model j: spectral density of the white torque, (N·m)²·s, and variance rate of the unknown force, (N·m)²/s. `scale`:
+    /// torque scale, N·m; `inertia`: inertia torques, N·m; `further`: additional random walk of the force, N·m/√s.
     pub(super) fn of_model(&self, j: usize, [scale, inertia, further]: [f64; 3]) -> [f64; 2] {
         let walk = scale * scale * self.force_walk[j] + inertia * inertia * self.mass_walk[j] + further * further;
         [scale * scale * self.white_torque[j], walk]

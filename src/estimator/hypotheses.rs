@@ -458,7 +458,7 @@ impl Alternative {
             }
             innovation.residual -= dead_zone.copysign(off);
             let expected = self.belief.bank.prediction(&innovation);
-            // In the dead zone of a reading all motions are equally likely, so the likelihood is not normalised by the variance.
+            // Inside the dead zone of a reading all motions are equally likely, so the log-likelihood omits −½ ln of the variance.
             likelihood += if dead_zone > 0.0 { -0.5 * expected.nis() } else { expected.log_likelihood() };
             self.belief.bank.update(&expected);
         }

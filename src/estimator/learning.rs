@@ -154,9 +154,9 @@ impl Learning {
         self.geometry
     }
 
-    /// Extra second moments of a quantity due to errors of lengths and mounting angles, in each model. `by_error` is the derivative of the
-    /// quantity by errors of the motion. The other two are derivatives by lengths and mounting angles: `by_parameters` applies while
-    /// lengths and mounting angles are learned, `while_held` while they are not, because the encoders then fix the motor angles.
+    /// Extra second moments of a quantity due to errors of lengths and mounting angles, in each model. `by_error` is its derivative with
+    /// respect to errors of the motion. Its derivative with respect to lengths and mounting angles is `by_parameters` if they are learned;
+    /// otherwise it is `while_held`, at constant encoder readings.
     pub(super) fn added_moments<const R: usize>(
         &self,
         own: &Bank,

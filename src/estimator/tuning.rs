@@ -43,8 +43,8 @@ pub(super) const LIKELY_MODELS: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
 /// Prior probabilities under white encoder noise, when a large innovation may be noise. The torque error of the benchmark at 1° is 1.3 to
 /// 1.5 N·m with a probability of 0.2 for the loudest model, 0.81 to 0.93 with 0.005, and 0.80 to 0.82 with 1e-4.
 pub(super) const BY_NOISE: [f64; MODELS] = [0.45, 0.45, 0.0999, 0.0001];
-/// Prior probabilities under quantisation intervals: only a force moves an angle out of its interval, and it comes without warning. The
-/// NEES of pushes was 10.2, 7.0, 6.0 and 5.4 with a probability of 0.005, 0.1, 0.2 and 0.3 for the loudest model.
+/// Prior probabilities with quantised encoders: only a force moves an angle out of its interval, and without warning. The NEES of pushes
+/// was 10.2, 7.0, 6.0 and 5.4 with a probability of 0.005, 0.1, 0.2 and 0.3 for the model with the most process noise.
 pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
 /// Distance |sin(θ₃ − θ₂)| from a direct singularity below which motors hardly determine the posture. There, quantised encoders use the
 /// priors [`LIKELY_MODELS`], starts are not tracked in both assemblies, and corrections do not fix the motor angles. Chosen by slow
@@ -224,8 +224,8 @@ pub(super) const WIDEST_SIGMA: f64 = 2.0;
 pub(super) const LARGEST_INNOVATION: f64 = 1.5;
 /// Largest variance of the replacing noise, in Δ²/12: an estimate well inside an interval learns almost nothing.
 pub(super) const LARGEST_VARIANCE: f64 = 1e4;
-/// Factor of the variance for successive intervals, which limit an error more strongly than variances show: with bounded noise the error
-/// decreases with the number of samples, not with its square root. Chosen by NEES and tip error of free falls.
+/// Factor on the noise variance of an interval. Successive intervals limit an error more than variances show: with bounded noise it
+/// decreases with the number of samples, not its square root. Chosen by NEES and tip error of free falls.
 pub(super) const SUCCESSIVE_INTERVALS_FACTOR: f64 = 0.56;
 /// Distance of an interval, in standard deviations, beyond which its probability underflows; its near edge then replaces it.
 pub(super) const FARTHEST_INTERVAL: f64 = 35.0;
@@ -262,8 +262,8 @@ pub(super) const WHICH_ASSEMBLY: QuestionRules = QuestionRules { lifetime: 5.0, 
 pub(super) const QUIET_FORCE_SCALE: f64 = 0.006;
 /// Prior probabilities of the models under nearly no unknown force: only the quietest and the loudest.
 pub(super) const QUIET_MODELS: [f64; MODELS] = [0.999, 0.0, 0.0, 0.001];
-/// Initial standard deviation of the unknown force in quiet hypotheses, in torque scales. With 0.006 it pulled back a motion that had
-/// crossed the line of the distal links.
+/// Initial standard deviation, in torque scales, of the unknown force in nearly force-free hypotheses. With 0.006 the force pulled back a
+/// motion that had crossed the line of the distal links.
 pub(super) const INITIAL_FORCE_SIGMA: f64 = 0.001;
 /// Variance of the unknown force that is added when the other assembly replaces the estimate, in squared torque scales.
 pub(super) const REPLACEMENT_FORCE_VARIANCE: f64 = 0.04;

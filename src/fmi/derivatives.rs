@@ -30,7 +30,7 @@ impl Instance {
             };
             if !(1..=ORDERS as i32).contains(&order) {
                 return Err(CallError::error(format!(
-                    "order of a derivative of {} is {order}, must be 1 to {ORDERS}; its value is set by fmi2SetReal.",
+                    "order of a derivative of {} is {order}, must be 1 to {ORDERS}; fmi2SetReal sets the input itself.",
                     variable.name
                 )));
             }

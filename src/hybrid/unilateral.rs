@@ -59,8 +59,8 @@ impl Piecewise for UnilateralSpring {
         [depth, depth - self.width, self.push_as_distance(depth, rate)]
     }
 
-    /// Time to the end of the ramp at the current rate. A step of at most this length does not evaluate the ramp's polynomial far beyond
-    /// its ends.
+    /// Time to the end of the ramp at the current rate. It bounds the step so that the ramp's polynomial is not evaluated far outside the
+    /// ramp.
     fn dwell_time(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
         /// Smallest remaining part of the ramp, relative to its width: keeps the time positive at the end of the ramp.
         const LEAST: f64 = 0.1;

@@ -98,7 +98,7 @@ impl fmt::Display for StepError {
             ),
             Self::SignWithoutSingularity { determinant, sine, admissible } => write!(
                 f,
-                "{} changed its sign where its sine is {sine:.3e} (allowed {admissible:.3e}): the motion did not pass the singularity",
+                "{} changed sign, yet its sine is {sine:.3e} (allowed {admissible:.3e}): the motion did not pass the singularity",
                 DETERMINANTS[*determinant]
             ),
             Self::BranchChange => f.write_str(

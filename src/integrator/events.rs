@@ -108,7 +108,7 @@ pub trait Events<const N: usize>: Clone {
         false
     }
 
-    /// Bounds on the derivatives over a path.
+    /// Bounds on coordinate derivatives over a path.
     fn path_bounds(&self, path: &Path<N>) -> <Self::GuardValues as Guards>::PathBounds;
 }
 

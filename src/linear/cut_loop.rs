@@ -96,7 +96,7 @@ pub struct OpenStep<'a, S> {
 pub struct OpenMotion {
     /// Poses half-way and at the end of the step, and the step's factors.
     pub secant: Secant,
-    /// The unknowns; ν belongs to the rates of this motion.
+    /// The unknowns, with ν corrected for this motion's rates.
     pub x: CutUnknowns,
     /// Half-step rotations at the end, ω̂ = ½h ω₁, rad.
     half: [Legs; 2],

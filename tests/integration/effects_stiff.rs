@@ -14,7 +14,7 @@ fn table() -> Parameters {
     parameters
 }
 
-/// Below breakaway a load makes the joints creep, no faster than the slope of the law, smoothly and with one sub-step per step.
+/// A load below breakaway makes the joints creep smoothly, no faster than the friction law allows, with one sub-step per step.
 #[test]
 fn a_load_below_breakaway_only_creeps() {
     for adaptive in [true, false] {

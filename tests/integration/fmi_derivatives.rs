@@ -323,8 +323,8 @@ fn what_has_no_derivative_is_refused_by_name() {
         assert_eq!(host.line(), format!("fmi2GetRealOutputDerivatives: {expected}"));
     }
     for (name, order, value, expected) in [
-        ("tau[1]", 0, 1.0, "order of a derivative of tau[1] is 0, must be 1 to 2; its value is set by fmi2SetReal."),
-        ("tau[1]", 3, 1.0, "order of a derivative of tau[1] is 3, must be 1 to 2; its value is set by fmi2SetReal."),
+        ("tau[1]", 0, 1.0, "order of a derivative of tau[1] is 0, must be 1 to 2; fmi2SetReal sets the input itself."),
+        ("tau[1]", 3, 1.0, "order of a derivative of tau[1] is 3, must be 1 to 2; fmi2SetReal sets the input itself."),
         ("tau[1]", 1, f64::NAN, "derivative 1 of tau[1] is NaN N.m/s^1, must be finite."),
         ("tip.x", 1, 1.0, "tip.x is not a continuous input: only continuous inputs have input derivatives."),
         ("contact.k", 1, 1.0, "contact.k is not a continuous input: only continuous inputs have input derivatives."),

@@ -279,8 +279,8 @@ fn absurd(method: Method) -> Parameters {
     parameters
 }
 
-/// A call of 18.5 s ends at the default bound `solver.maxWork`, not after minutes: the message has the time reached, and nothing changes.
-/// The explicit method completes.
+/// A call of 18.5 s fails at the default `solver.maxWork`, not after minutes: the message has the time reached; the state is unchanged. The
+/// explicit method completes.
 #[test]
 fn absurd_machines_take_bounded_work() {
     let inputs = default_inputs();

@@ -323,7 +323,7 @@ def test_it_listens_to_a_broker(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["--broker", "127.0.0.1:1"], "there is no broker at 127.0.0.1:1: "),
         (["--broker", "192.0.2.1:1883"], "broker 192.0.2.1 is not on this machine: user, password and TLS"),
         (["--broker", "127.0.0.1:1", "--seconds", "0"], "seconds must be more than 0, not 0"),
-        (["--broker", "127.0.0.1:1", "--map", "map.json"], "--map is map.json, but a machine at a broker has no columns"),
+        (["--broker", "127.0.0.1:1", "--map", "map.json"], "--map is map.json, but samples from a broker have no columns"),
         (["none.csv"], "none.csv: it cannot be read: No such file"),
     ],
 )  # fmt: skip

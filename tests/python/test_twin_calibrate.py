@@ -565,7 +565,7 @@ def test_lengths_that_are_not_identified_are_the_scenes(library: Library) -> Non
 def test_a_length_changes_the_inertia_unless_the_centre_of_mass_is_sought(
     sought_too: list[str], library: Library
 ) -> None:
-    """A longer link of the same shape, or the same body with its joint elsewhere."""
+    """Length alone: a longer link of the same shape. With `com`: the same body, its joint moved."""
     scene = {"link[2].com": 0.08, "link[2].inertia": 5e-5}
     unknowns = parameters.parameters(["link[2,3].length", *sought_too], library, scene)
     found = parameters.assemble(scene, library, unknowns, [1.01, *(1.0 for _ in sought_too)])

@@ -9,7 +9,7 @@ ALLOWED = "text in UTF-8, or in UTF-16 with a byte order mark, is allowed"
 
 
 def content(file: Path, largest: int) -> bytes:
-    """The bytes of a file of limited size. Raises FiveBarError; its message calls the file `it`."""
+    """The bytes of a file of limited size. Raises FiveBarError, for example "it cannot be read"."""
     try:
         with file.open("rb") as stream:
             found = stream.read(largest + 1)

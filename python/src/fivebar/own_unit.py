@@ -97,7 +97,7 @@ def write_unit(
     target = folder / f"{name}.fmu"
     try:
         if target.exists() and target.samefile(plain):
-            raise FiveBarError(f"{target} is the plain unit itself: the folder must be another one")
+            raise FiveBarError(f"{target} is the original FMU: choose another folder")
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="fivebar-") as made:
             # The unit is moved to its final name only if it accepts its start.

@@ -387,7 +387,7 @@ impl StiffnessDetector {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Longest step, s, in which oscillations of springs decay while friction keeps everything else at rest.
+    /// Longest stable step, s, while the system is at rest, as by sticking friction; infinite while it moves.
     pub(super) fn longest_at_rest<S: System<N, M>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) -> f64 {
         let rate = &mut self.memory.stiffness.rate_at_rest;
         if system.error_norm(&self.start.v) > REST_RATE * settings.error_tolerance {

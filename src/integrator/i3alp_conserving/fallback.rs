@@ -234,7 +234,7 @@ impl<S, const N: usize, const M: usize, const K: usize> Step<'_, S, N, M, K>
 where
     S: Discrete<N, M, K> + Passage<N>,
 {
-    /// Finds a root by stages 1 to 6, or otherwise the end of the last stage. Fails if that stage finds none either.
+    /// Returns the end of the step by stages 1 to 6 or, if they find no root, by the last stage. Fails if no stage succeeds.
     pub(super) fn recover(
         &self,
         settings: &Settings,

@@ -48,7 +48,7 @@ impl OpenLegs {
         [p.scaled(proximal) + d.scaled(elbow), d.scaled(distal)]
     }
 
-    /// Moments of forces on the centres of mass, N.
+    /// Moments of forces on the centres of mass; N·m for forces in N.
     pub(super) fn moment_of_forces(&self, [p, d]: [Legs2; 2]) -> Moments {
         let Mechanism { a_p, b_p, a_d, .. } = self.mechanism;
         [p.scaled(a_p) + d.scaled(a_p + b_p), d.scaled(a_d)]

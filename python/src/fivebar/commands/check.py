@@ -56,7 +56,7 @@ def check(
     if file is not None:
         return work.run(scene, work.of_file(file, map_file, unit, scene))
     if map_file is not None:
-        raise click.UsageError(f"--map is {map_file}, but a machine at a broker has no columns")
+        raise click.UsageError(f"--map is {map_file}, but samples from a broker have no columns")
     from fivebar.twin import config, listen
 
     heard = listen.hear(config.other_broker(broker or "", user, ca_file), unit, seconds)

@@ -357,7 +357,7 @@ class _Loop:
         return best
 
     def commanded(self) -> Evidence:
-        """Evidence from commands: the angles should follow them, and the zeros come from them."""
+        """Evidence from commands: the angles should follow them; the mean differences are the zeros."""
         assert self.commands is not None
         fits = []
         spread = np.std(self.commands, axis=0)

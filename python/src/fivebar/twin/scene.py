@@ -97,7 +97,7 @@ def read(file: Path) -> Scene:
 
 
 def parse(content: dict[str, Any]) -> Scene:
-    """The scene from the content of such a file."""
+    """The scene from a resolved scene file's content."""
     signals = {str(name): [float(x) for x in values] for name, values in content["signals"].items()}
     return Scene(
         name=str(content["name"]),

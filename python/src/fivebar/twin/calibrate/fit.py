@@ -491,8 +491,7 @@ class Fitter:
                 self.show("the motion is chaotic over pieces of this length: shorter pieces are kept")
                 break
             x, z, pieces = end[:p], end, unpack(end, longer, p)
-            # The shortest pieces are no reference: with their own starts, their residuals are hardly more than noise
-            # for any machine.
+            # The shortest pieces are no reference: each has its own start, so any machine leaves little more than noise.
             left = np.maximum(found, self.noise) if length > lengths[0] else left
         self.machine.tolerance(TIGHT)
         return pieces, z, before
