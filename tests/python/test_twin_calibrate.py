@@ -703,6 +703,24 @@ def test_one_record_of_a_chaotic_motion_tells_everything(
 
 
 @pytest.mark.nightly
+def test_what_no_motion_tells_is_named(
+    fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A drive of 1e6 N.m/rad clamps the left link of `stiff_servo`: its mass moves nothing, and no force measures the others."""
+    config = configured(tmp_path / "first", fmu, library, "stiff_servo", exact=True)
+    names = [f"link[{i}].mass" for i in (1, 2, 3, 4)]
+    common = ["--fmu", str(fmu), "--out", str(tmp_path / "out"), "--patience", "500", *sought([*names, "viscous.b"])]
+    assert main(["calibrate", str(sampled(config, library, 1.2)), *common]) == 1
+    printed = capsys.readouterr().out.splitlines()
+    refused = [line for line in printed if line.startswith("not identified: ")]
+    assert "not identified: link[1].mass: not identified by the record" in refused
+    assert all(any(name in line for line in refused) for name in names), refused
+    assert "none of the tried motions would identify more" in printed
+    assert "calibrated.json is not written: nothing is identified" in printed
+    assert not (tmp_path / "out" / "proposal.json").exists()
+
+
+@pytest.mark.nightly
 def test_a_user_finds_the_machine_by_the_commands_that_are_printed(fmu: Path, tmp_path: Path) -> None:
     """Runs `fivebar twin`, `fivebar calibrate` and the command that it prints, with the default scene and unknowns, in real time."""
     environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
