@@ -1013,9 +1013,11 @@ def test_the_time_limit_is_the_given_one_and_keeps_a_finished_fit(
     monkeypatch.setattr(fit.Fitter, "again", late)
     said: list[str] = []
     found = problem.solve("rate", 10.0, 100.0, said.append)
-    assert "no time is left for this repetition (--patience): the fit before stays" in said
-    assert set(found.values) == {OFFSETS[0]}
-    assert abs(found.values[OFFSETS[0]] - 0.01) < 4 / 1.96 * found.bars[OFFSETS[0]]
+    assert any(
+        line.startswith("no time is left for this repetition (--patience): the fit before stays") for line in said
+    )
+    # On `stiff_servo` the first fit alone gave a friction that was off by 13 of its standard deviations.
+    assert found.values == {} and max(found.residuals) < 2e-4
     assert "a common factor of " in found.not_identified[0]
 
 

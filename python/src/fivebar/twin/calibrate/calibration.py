@@ -387,9 +387,12 @@ def solve(
         try:
             later = fitter.again(fit, pins, held)
         except TimeLimitExceeded:
-            show("no time is left for this repetition (--patience): the fit before stays")
+            show(
+                "no time is left for this repetition (--patience): the fit before stays, and no value that only it identifies is believed"
+            )
             if fit is alone:
-                judgement = first
+                # Combinations that are not identified may have moved the other unknowns by more than their bars.
+                judgement = replace(first, identified=[False] * len(sought))
             break
         if not (np.all(fit.sigma < ALL_NOISE * fitter.noise) and np.any(later.sigma > CONTRADICTED * fit.sigma)):
             fit, judgement = later, _both(judgement, judge(later, sought, held))
