@@ -23,8 +23,8 @@ const LONGEST: f64 = 5e-3;
 /// Largest number of evaluations of a step across a bifurcation.
 const MOST_WORK: u32 = 20_000;
 
-/// Smallest error tolerance of a step across a bifurcation, rad. At its start the closure determines rates only to round-off divided by the
-/// distance from the bifurcation. With a smaller tolerance, dense output would contradict such a start.
+/// Smallest error tolerance of a step across a bifurcation, rad, if friction does not stick. At its start the closure determines rates only
+/// to round-off divided by the distance from the bifurcation. With a smaller tolerance, dense output would contradict such a start.
 const LEAST_TOLERANCE: f64 = 1e-10;
 
 /// Whether a step of h seconds from these angles and rates begins or ends near a bifurcation.
@@ -73,10 +73,21 @@ fn is_on_branch_within(model: &Model, distance: f64, [q, v]: [&Coordinates; 2], 
 
 /// Step of h seconds along a closure branch, integrated in the link angles; `None` if the motion is on no branch or the step fails.
 pub(super) fn crossing(system: FiveBar<'_>, from: &Core, h: f64) -> Option<Transit<COORDINATES>> {
+    let model = system.model;
+    let tolerance = model.settings.error_tolerance;
+    // The rate below which a joint may stick follows the tolerance of the run. A step with a larger tolerance leaves faster rates where a
+    // slip ends, so the joint never sticks and events have no end.
+    let with_sticking =
+        if model.features.may_stick && tolerance < LEAST_TOLERANCE { crossing_within(system, from, h, tolerance) } else { None };
+    with_sticking.or_else(|| crossing_within(system, from, h, tolerance.max(LEAST_TOLERANCE)))
+}
+
+/// Step of [`crossing`] with an error tolerance, rad.
+fn crossing_within(system: FiveBar<'_>, from: &Core, h: f64, error_tolerance: f64) -> Option<Transit<COORDINATES>> {
     let (system, model) = (AngleSystem::new(system), system.model);
     let settings = Settings {
         schemes: Schemes::Automatic,
-        error_tolerance: model.settings.error_tolerance.max(LEAST_TOLERANCE),
+        error_tolerance,
         energy_scale: f64::INFINITY,
         first_step: h,
         max_iterations: model.settings.max_iterations,

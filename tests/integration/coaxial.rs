@@ -337,11 +337,11 @@ fn beside_straight_postures(seed: u64, friction: bool) -> Vec<Case> {
 /// Beside a straight posture friction holds what it can hold on the branch, and not more, by every method. Motions of 0.2 s magnify local
 /// errors less than a thousand times; a machine that wrongly rests is off by 2e-3 rad and more. Among the machines of seed 9 are a
 /// parallelogram, a kite and a rhombus at rest that the closure of the tip would let friction hold, among those of seed 72 one with endless
-/// stick-slip events.
+/// stick-slip events. Among those of seeds 0 and 2 are slow ones with events that had no end below 1e-10 rad.
 #[test]
 fn friction_beside_a_straight_posture_holds_no_more_than_its_bounds() {
     const CALLS: u64 = 200;
-    for seed in [9, 72] {
+    for seed in [0, 2, 9, 72] {
         let mut moved = 0;
         for (number, case) in beside_straight_postures(seed, true).iter().enumerate() {
             let end = |method, tolerance| {
@@ -353,7 +353,9 @@ fn friction_beside_a_straight_posture_holds_no_more_than_its_bounds() {
             };
             let (start, expected) = end(Method::Dop853, 1e-11);
             moved += u32::from(largest_difference(start, expected) > 1e-2);
-            for (method, tolerance) in [(Method::I3alp, 3e-9), (Method::I3alp, 1e-11), (Method::Automatic, 3e-9)] {
+            for (method, tolerance) in
+                [(Method::I3alp, 3e-9), (Method::I3alp, 1e-11), (Method::I3alp, 1e-12), (Method::Automatic, 3e-9)]
+            {
                 let off = largest_difference(end(method, tolerance).1, expected);
                 assert!(off < 3e-6, "{seed}, {number}, {method:?}, {tolerance:e} rad: {off:e} rad off");
             }
