@@ -22,7 +22,7 @@ def scene(arm, first):
         "gravity.direction": -np.pi / 2,
         "init.theta[1]": first["measured.theta[1]"],
         "init.theta[2]": first["measured.theta[2]"],
-        "init.assembly": "plus",
+        "init.assembly": "minus",
         "rotor.enabled": True,
         "rotor.inertia[1]": arm["Ir"],
         "rotor.gearRatio[1]": arm["gr"],
