@@ -120,10 +120,12 @@ def calibrated(
 
 
 def test_unknowns_are_found_within_their_bars(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """For white noise the error bars reach the Cramér–Rao bound. The written scene contains the found values and can be read."""
+    """For white noise the error bars reach the Cramér–Rao bound. The written scene contains the found values and the settings of estimator and
+    solver, and can be read."""
     names = ["payload.mass", "link[2,3].mass", "viscous.b"]
     columns = made(library, names, [1.2, 0.9, 1.3], 1.5)
-    code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, names)
+    settings = {"estimator.sigma[1]": 2e-4, "estimator.torqueScale": 0.3, "solver.errorTolerance": 1e-7}
+    code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, names, base=BASE | settings)
     assert code == 0
     for name, truth in (("payload.mass", 1.2 * 0.02), ("link[2,3].mass", 0.9 * 0.017), ("viscous.b", 1.3e-4)):
         unknown = figures["unknowns"][name]
@@ -135,6 +137,8 @@ def test_unknowns_are_found_within_their_bars(fmu: Path, library: Library, tmp_p
     assert written["payload.mass"] == figures["unknowns"]["payload.mass"]["value"]["payload.mass"]
     # A link's inertia goes with its mass.
     assert math.isclose(written["link[2].inertia"] / 6.23e-5, written["link[2].mass"] / 0.017, rel_tol=1e-12)
+    content = json.loads((tmp_path / "out" / "calibrated.json").read_text(encoding="utf-8"))
+    assert settings.items() <= content.items() and not content.keys() & {"estimator.sigma[2]", "solver.method"}
     assert {path.name for path in (tmp_path / "out").glob("*.png")} == {"residuals.png", "unknowns.png"}
 
 
@@ -352,7 +356,7 @@ def test_an_axis_at_rest_is_not_blamed_for_the_other_encoder(
     """A clamp holds the left motor of `stiff_servo`, as the scene says: large residuals of encoder 2 are no missing drive on motor 1."""
     file = played(tmp_path, fmu, library, "stiff_servo", 240)
     problem = calibration.prepare(file, "stiff_servo", ["link[2].mass"], library, 0.0, 10.0, "")
-    machine = motion.Machine(library, problem.scene, problem.sought)
+    machine = motion.Machine(library, problem.assumed.machine, problem.sought)
     fitter = fit.Fitter(machine, problem.record, "rate", 10.0, lambda _: None)
     monkeypatch.setattr(fit.Fitter, "under", lambda *_: math.inf)
     assert float(np.ptp(problem.record.series[0].angles[:, 0])) == 0.0
@@ -999,7 +1003,7 @@ def test_the_time_limit_is_the_given_one_and_keeps_a_finished_fit(
     """Trials of other assumptions named the rest of the time as the limit; a limit in a repetition dropped the fit before."""
     columns = made(library, [*SCALE, OFFSETS[0]], [1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 0.05], 1.2, base=WEIGHTLESS)
     problem = calibration.prepare(columns, WEIGHTLESS, [*SCALE, OFFSETS[0]], library, 0.0, 10.0, "")
-    machine = motion.Machine(library, problem.scene, problem.sought)
+    machine = motion.Machine(library, problem.assumed.machine, problem.sought)
     fitter = fit.Fitter(machine, problem.record, "rate", 10.0, lambda _: None, 100.0)
     fitter.ends = 0.0
     other = fit.assumptions.Assumption("", {}, lambda samples: samples)

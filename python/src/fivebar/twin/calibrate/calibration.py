@@ -77,12 +77,7 @@ class Problem:
     """Name of the record."""
 
     record: data.Data
-    scene: Values
-    """Assumed values of the machine that differ from the unit's start values."""
-
-    source: str
-    """Source of these values, in words."""
-
+    assumed: scenes.Assumed
     sought: list[Parameter]
     taken: Array
     """Prior standard deviations of the scene's values, in sizes."""
@@ -93,7 +88,7 @@ class Problem:
         _check_positive("patience", patience)
         if commands not in get_args(Between):
             raise TwinError(f"commands are {commands!r:.60}; one of {', '.join(get_args(Between))} is needed")
-        machine = Machine(self.library, self.scene, self.sought)
+        machine = Machine(self.library, self.assumed.machine, self.sought)
         try:
             return Calibration(self, solve(machine, self.record, commands, longest, show, patience, self.taken))
         finally:
@@ -184,10 +179,12 @@ class Calibration:
             )
             if known or p.name.endswith(".com")
         ]
-        return assemble(self.problem.scene, self.problem.library, [p for p, _ in found], [x for _, x in found])
+        return assemble(
+            self.problem.assumed.machine, self.problem.library, [p for p, _ in found], [x for _, x in found]
+        )
 
     def content(self) -> dict[str, Any]:
-        """The scene of the calibrated machine as the content of a file, with the start of the record.
+        """The scene of the calibrated machine as the content of a file, with the start of the record and the assumed settings of estimator and solver.
 
         Raises FiveBarError if nothing is identified.
         """
@@ -218,7 +215,7 @@ class Calibration:
             values |= fit.machine.held(list(commands), offsets)
         time = self.problem.record.series[0].time
         stop = round(time[-1] - time[0], 6) or 1.0
-        return scenes_of.content(text, values, stop, 1e-3, self.problem.library.known)
+        return scenes_of.content(text, self.problem.assumed.settings | values, stop, 1e-3, self.problem.library.known)
 
     def scene(self) -> Scene:
         """The calibrated machine as a scene for `fivebar.run`, `fivebar.unit` and `fivebar.Unit`.
@@ -259,7 +256,7 @@ class Calibration:
         return {
             "refused": self.solution.wrong or None,
             "warning": self.solution.odd or None,
-            "begins_from": self.problem.source,
+            "begins_from": self.problem.assumed.source,
             "samples": sum(len(series) for series in given.series),
             "series": len(given.series),
             "period": given.period,
@@ -281,7 +278,7 @@ class Calibration:
         count = sum(len(series) for series in given.series)
         lines = [self.warning] if self.warning else []
         lines.append(
-            f"{count} samples in {len(given.series)} series, every {1e3 * given.period:.3g} ms; begun from {self.problem.source}"
+            f"{count} samples in {len(given.series)} series, every {1e3 * given.period:.3g} ms; begun from {self.problem.assumed.source}"
         )
         lines += [f"  {note}" for note in given.notes]
         sigma = ", ".join(f"{1e3 * value:.3g}" for value in fit.sigma)
@@ -321,13 +318,13 @@ def prepare(
     _check_positive("seconds", seconds)
     given = data.read(record, begin, seconds, unit)
     data.check(given)
-    assumed, source = scenes.start_values(scene, record, library)
-    given = data.turned(given, library, assumed)
-    sought = parameters(names or usual(assumed), library, assumed)
+    assumed = scenes.assumed(scene, record, library)
+    given = data.turned(given, library, assumed.machine)
+    sought = parameters(names or usual(assumed.machine), library, assumed.machine)
     # A length that the user names as unknown gets no prior from the scene.
     taken = np.full(len(sought), np.inf) if names else trusted(sought, library)
     name = Path(record).name if isinstance(record, Path) else recording.GIVEN
-    return Problem(library, name, given, assumed, source, sought, taken)
+    return Problem(library, name, given, assumed, sought, taken)
 
 
 def calibrate(

@@ -112,7 +112,7 @@ def _write_proposal(
 ) -> dict[str, Any] | None:
     """Writes the scene of a motion that identifies more, if there is one; returns its command and the unknowns that it identifies."""
     library, sought = problem.library, problem.sought
-    motion = propose(library, problem.scene, sought, problem.taken, noise, present)
+    motion = propose(library, problem.assumed.machine, sought, problem.taken, noise, present)
     if motion is None:
         return None
     improved = motion.improved(present)
