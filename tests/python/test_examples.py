@@ -226,7 +226,7 @@ def test_draw(fmu: Path, tmp_path: Path) -> None:
         float(x) for x in re.findall(r"from the drawing with the pen down: up to (\S+) mm, (\S+) mm rms", printed)[0]
     )
     text = (REPOSITORY / "docs" / "kinematics.md").read_text(encoding="utf-8")
-    assert f"off the drawing by {mean:.3f} mm" in text and f"by {largest:.2f} mm where small circles" in text
+    assert f"off the drawing by {mean:.3f} mm" in text and f"at most by {largest:.2f} mm" in text
     assert "Stroke 4, at (-0.0110795, 0.115359) m, meets a direct singularity" in printed
     names = {"drawn.svg", "drawn.png", "blocked.svg", "blocked.png", "fivebar.json", "fivebar.csv"}
     assert {file.name for file in (tmp_path / "target" / "draw").iterdir()} == names

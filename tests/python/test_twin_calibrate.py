@@ -186,7 +186,7 @@ def test_the_function_finds_what_the_command_finds(
     ("change", "more", "sentence"),
     [
         ({"time": None}, {}, "the record has no column time (s); it has measured.theta[1], measured.theta[2], servo.theta[1], "),
-        ({"time": [0.0, 1.0]}, {}, "the record has 2 times and "),
+        ({"time": [0.0, 1.0]}, {}, "the record has 2 values of time but "),
         ({"measured.theta[1]": ["a", "b"]}, {}, "the record: measured.theta[1] must be a column of numbers, not ["),
         ({"measured.theta[1]": None, "measured.theta[2]": None}, {}, "the record has no number in measured.theta[1] or measured.theta[2]"),
         ({}, {"commands": "cubic"}, "commands are 'cubic'; one of rate, linear, hold is needed"),
