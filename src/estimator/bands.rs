@@ -29,7 +29,7 @@ const BISECTIONS: usize = 30;
 
 impl Estimator {
     /// The belief about the motion, with the errors by commands that are unknown.
-    fn with_commands(&self) -> Belief {
+    pub(super) fn with_commands(&self) -> Belief {
         let mut belief = self.filter.belief;
         if let Some(covariance) = self.forecast.by_commands() {
             belief.bank.add(covariance);

@@ -43,7 +43,7 @@ impl Past {
     }
 }
 
-/// Past macro steps; the latest is last.
+/// Past instants, at beginnings of steps; the latest is last.
 #[derive(Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct History {
     past: ArrayVec<Past, REMEMBERED>,

@@ -97,7 +97,7 @@ impl Parameters {
                 self.max_delay
             )));
         }
-        // With this limit, two entries of the history are hardly further apart than a macro step, so interpolation is as exact as a step.
+        // With this limit, two entries of the history are at most one and a half macro steps apart, so interpolation is exact enough.
         let most = (REMEMBERED / 2 - 1) as f64 * step_size;
         if self.max_delay > most {
             return Err(SceneError(format!(

@@ -537,8 +537,7 @@ impl Estimator {
             Branch | Assembly(_) | Unclosed | Runaway | Repetition(..) => (),
         }
         match kind {
-            // The machine may be anywhere, and sigma points do not close the loop of restarted lengths.
-            // The new covariance contains any motion.
+            // The new covariance contains any motion, and sigma points do not close the loop of restarted lengths.
             Runaway | Adrift => *forecast = Forecast::default(),
             Branch | Assembly(_) | Samples { .. } | Unclosed | Repetition(..) => (),
         }
@@ -677,7 +676,10 @@ impl Estimator {
         if let Some(odds) = self.doubt.step(machine, scene, about, (observable > 0.0, h)) {
             self.hypotheses.doubt_side(odds);
         }
-        self.hypotheses.step(machine, (to, &self.filter.belief), scene, (&step, coasts), h);
+        // Other ways from a vertex begin with the errors by commands, too.
+        let with_commands = self.forecast.by_commands().map(|_| self.with_commands());
+        let belief = with_commands.as_ref().unwrap_or(&self.filter.belief);
+        self.hypotheses.step(machine, (to, belief), scene, (&step, coasts), h);
         self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
         self.alarm.step(h, inertia);
     }

@@ -85,8 +85,8 @@ impl<S: Scene> Step<'_, S> {
 }
 
 impl Unknown {
-    /// Errors after a step in which the commands are `unknown`; `since` is the time for which they had already been, s, if the step is the
-    /// first one. Commands that are known again add no errors from then on.
+    /// Errors after a step in which the commands are `unknown`; `since` is the time for which they had already been, s. Commands that are
+    /// known again add no errors from then on.
     #[inline(never)]
     pub(super) fn after<S: Scene>(
         before: Option<Self>,
@@ -111,6 +111,7 @@ impl Unknown {
             let [shared, motion] = walked(&earlier, &rates, &times);
             Self { commands: rates.component_mul(&times), shared, motion, time: since }
         });
+        let time = if unknown { time.max(since) } else { 0.0 };
         let times = if unknown { times(h, (time + h - delay).clamp(0.0, h)) } else { Vector4::zeros() };
         if !unknown {
             (commands, shared) = (Vector4::zeros(), Matrix4::zeros());
@@ -124,7 +125,7 @@ impl Unknown {
         let mut motion = (motion + motion.transpose()) / 2.0;
         // As the variances of the estimate: a forecast without end stays finite.
         bound_variances(&mut motion, [ANYWHERE, LARGEST_RATE_VARIANCE], |i, factor| shared.row_mut(i).scale_mut(factor));
-        Self { commands: commands + rates.component_mul(&times), shared, motion, time: time + h }
+        Self { commands: commands + rates.component_mul(&times), shared, motion, time: if unknown { time + h } else { 0.0 } }
     }
 
     /// Covariance of the errors of angles and rates on the tangent basis.

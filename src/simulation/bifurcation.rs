@@ -23,8 +23,9 @@ const LONGEST: f64 = 5e-3;
 /// Largest number of evaluations of a step across a bifurcation.
 const MOST_WORK: u32 = 20_000;
 
-/// Smallest error tolerance of a step across a bifurcation, rad, if friction does not stick. At its start the closure determines rates only
-/// to round-off divided by the distance from the bifurcation. With a smaller tolerance, dense output would contradict such a start.
+/// Smallest error tolerance of a step across a bifurcation, rad, unless friction may stick and a step with the tolerance of the run
+/// succeeds. At its start the closure determines rates only to round-off divided by the distance from the bifurcation. With a smaller
+/// tolerance, dense output would contradict such a start.
 const LEAST_TOLERANCE: f64 = 1e-10;
 
 /// Whether a step of h seconds from these angles and rates begins or ends near a bifurcation.

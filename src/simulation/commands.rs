@@ -25,8 +25,8 @@ const COMMANDS_PER_STEP: f64 = 4.0;
 const EXTRA_ROOM: usize = 3;
 
 /// Fraction of a macro step by which a command may begin to act too early or too late: it then begins at the end of the step. Sums of the
-/// lengths of 100,000 steps of 1 µs, or of steps between times of 1e5 s, have errors of 1e-7 steps. A part as short as these errors would be
-/// a step of round-off.
+/// lengths of 100,000 steps of 1 µs, or of steps of 1 ms at times of 1e5 s, have errors of 1e-7 steps. A part as short as these errors would
+/// be a step of round-off.
 const ROUND_OFF: f64 = 1e-6;
 
 /// A command that does not act yet.
@@ -270,7 +270,7 @@ mod tests {
     use super::*;
     use crate::simulation::bindings::default_inputs;
 
-    /// Lengths of the macro steps of 0.12 s at `begin` s, with a command each 10 ms; the times of the steps are rounded, as those of a master are.
+    /// Lengths of the macro steps of 0.12 s at `begin` s, with a command every 10 ms; the times of the steps are rounded, as those of a master are.
     fn parts(delay: Delay, begin: f64) -> Vec<f64> {
         let mut commands =
             Commands { acting: Signal::held(default_inputs()), age: 0.0, waiting: VecDeque::new(), before: VecDeque::new() };

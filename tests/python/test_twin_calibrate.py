@@ -579,19 +579,20 @@ def test_a_length_changes_the_inertia_unless_the_centre_of_mass_is_sought(
     assert found["link[2].inertia"] == pytest.approx(factor**2 * 5e-5)
 
 
-def test_a_centre_of_mass_that_is_not_identified_stays_the_scenes(library: Library) -> None:
-    """It moved with the link's length into the written scene, which then had another inertia than the fitted machine, too."""
-    scene: parameters.Values = {"link[2].com": 0.08, "link[2].inertia": 5e-5}
-    unknowns = parameters.parameters(["link[2].length", "link[2].com", "link[3].com"], library, scene)
+def test_values_of_a_link_that_are_not_identified_stay_the_scenes(library: Library) -> None:
+    """A centre of mass moved with the link's length into the written scene, and an inertia with its mass, unlike in the fitted machine."""
+    scene: parameters.Values = {"link[2].com": 0.08, "link[2].inertia": 5e-5, "link[1].inertia": 4e-5}
+    names = ["link[2].length", "link[2].com", "link[3].com", "link[1].mass", "link[1].inertia"]
+    unknowns = parameters.parameters(names, library, scene)
     solution = SimpleNamespace(
         sought=unknowns,
-        fit=SimpleNamespace(x=np.array([1.01, 1.02, 1.03])),
-        judgement=SimpleNamespace(identified=[True, False, True]),
+        fit=SimpleNamespace(x=np.array([1.01, 1.02, 1.03, 1.04, 1.05])),
+        judgement=SimpleNamespace(identified=[True, False, True, True, False]),
     )
-    problem = SimpleNamespace(scene=scene, library=library)
+    problem = SimpleNamespace(assumed=SimpleNamespace(machine=scene), library=library)
     found = calibration.Calibration(problem, solution).start()  # type: ignore[arg-type]
     assert found["link[2].length"] == pytest.approx(1.01 * 0.21) and found["link[3].com"] == pytest.approx(1.03 * 0.105)
-    assert found["link[2].com"] == 0.08 and found["link[2].inertia"] == 5e-5
+    assert found["link[2].com"] == 0.08 and found["link[2].inertia"] == 5e-5 and found["link[1].inertia"] == 4e-5
 
 
 def test_derivatives_are_taken_at_the_solution(library: Library) -> None:

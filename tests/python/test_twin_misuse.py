@@ -298,6 +298,10 @@ def test_copies_of_overlapping_subscriptions_are_not_refused(config: Config, lib
     copies = [taken[k + j] for k in range(0, 10, 2) for j in (0, 1, 0, 1)]
     assert not sent(twin, copies + taken[10:])
     assert twin.refused == 0 and twin.counts["estimated"] == 40
+    # Malformed messages are no copies: each is counted.
+    for k in range(5):
+        twin.received("fivebar/bench/meas", b"{", BEGIN + k)
+    assert twin.refused == 5
     twin.follower.close()
 
 

@@ -57,7 +57,7 @@ class Twin(Worker):
         self.heard, self.hears_others = False, False
         """Whether a sample of this unit has arrived, and whether the process has listened to other units."""
         self.recent: deque[bytes] = deque(maxlen=COPIES)
-        """The last samples of this unit since the process listened to other units."""
+        """The last accepted samples of this unit since the process listened to other units."""
         self.stored_at = -1
 
     def begin(self) -> None:
@@ -80,12 +80,14 @@ class Twin(Worker):
             self.heard, self.refusals = True, Refusals()
             if self.hears_others:
                 self.hear_others(False)
-        if self.hears_others and topic == self.own:
-            if payload in self.recent:
-                # The broker may send a message once for each of two subscriptions that overlap (MQTT 3.1.1, 3.3.5).
-                return
-            self.recent.append(payload)
+        is_own = self.hears_others and topic == self.own
+        if is_own and payload in self.recent:
+            # The broker may send a message once for each of two subscriptions that overlap (MQTT 3.1.1, 3.3.5).
+            return
+        refused = self.refused
         super().received(topic, payload, now)
+        if is_own and self.refused == refused:
+            self.recent.append(payload)
 
     def refuse(self, topic: str, error: Refused, now: int) -> None:
         super().refuse(topic, error, now)

@@ -83,7 +83,7 @@ class Problem:
     """Prior standard deviations of the scene's values, in sizes."""
 
     def solve(self, commands: Between, longest: float, patience: float, show: Show) -> "Calibration":
-        """Fits and judges the unknowns; raises TimeLimitExceeded after the time limit."""
+        """Fits and judges the unknowns; raises TimeLimitExceeded if the time limit ends the first fit."""
         _check_positive("longest", longest)
         _check_positive("patience", patience)
         if commands not in get_args(Between):
@@ -171,13 +171,13 @@ class Calibration:
         return found
 
     def start(self) -> Values:
-        """Start values with the estimates; other values stay as assumed, also centres of mass of links with estimated lengths."""
+        """Start values with the estimates; other values stay as assumed, also centres of mass and inertias of links with estimated lengths or masses."""
         found = [
             (p, float(x) if known else p.origin)
             for p, x, known in zip(
                 self.solution.sought, self.solution.fit.x, self.solution.judgement.identified, strict=True
             )
-            if known or p.name.endswith(".com")
+            if known or p.name.endswith((".com", ".inertia"))
         ]
         return assemble(
             self.problem.assumed.machine, self.problem.library, [p for p, _ in found], [x for _, x in found]
@@ -385,7 +385,7 @@ def solve(
             later = fitter.again(fit, pins, held)
         except TimeLimitExceeded:
             show(
-                "no time is left for this repetition (--patience): the fit before stays, and no value that only it identifies is believed"
+                "no time is left for this repetition (--patience): the fit before stays, and no value is believed that no repetition has confirmed"
             )
             if fit is alone:
                 # Combinations that are not identified may have moved the other unknowns by more than their bars.
