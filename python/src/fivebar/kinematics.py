@@ -165,6 +165,19 @@ def sines(theta: ArrayLike) -> Floats:
     return np.stack([np.sin(t3 - t2), np.sin(t2 - t1), np.sin(t3 - t4)], axis=-1)
 
 
+def numbers(name: str, values: ArrayLike, width: int, unit: str) -> Floats:
+    """Values as an array (..., width); NaN is allowed. Raises FiveBarError for anything else."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise FiveBarError(
+            f"{name} = {values!r:.80}: {width} numbers in {unit} are expected, in the last axis of an array."
+        ) from None
+    if array.ndim == 0 or array.shape[-1] != width:
+        raise FiveBarError(f"{name} has the shape {array.shape}: the last axis must have {width} elements.")
+    return array
+
+
 @dataclass(frozen=True)
 class Machine:
     """A planar five-bar mechanism with its motors on the x axis: lengths, m, and kinematics.
@@ -1164,14 +1177,7 @@ class Machine:
         return [(begin, end), (-end, -begin)]
 
     def _finite(self, name: str, values: ArrayLike, width: int, unit: str) -> Floats:
-        try:
-            array = np.asarray(values, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise FiveBarError(
-                f"{name} = {values!r:.80}: {width} numbers in {unit} are expected, in the last axis of an array."
-            ) from None
-        if array.ndim == 0 or array.shape[-1] != width:
-            raise FiveBarError(f"{name} has the shape {array.shape}: the last axis must have {width} elements.")
+        array = numbers(name, values, width, unit)
         if not np.all(np.isfinite(array)):
             at, count = _first(~np.all(np.isfinite(array), axis=-1))
             raise FiveBarError(f"{_item(name, array, at, unit)}: it must be finite{count}.")

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fivebar.errors import FiveBarError
-from fivebar.kinematics import Machine, sines
+from fivebar.kinematics import Machine, numbers, sines
 from fivebar.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -59,15 +59,7 @@ def tip_force(scene: Scene, theta: ArrayLike, limits: tuple[float, float]) -> Fl
 
 def _postures(theta: ArrayLike) -> Floats:
     """Angles of the links as an array (..., 4); NaN, as at points out of reach, is allowed."""
-    try:
-        array = np.asarray(theta, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise FiveBarError(
-            f"theta = {theta!r:.80}: 4 numbers in rad are expected, in the last axis of an array."
-        ) from None
-    if array.ndim == 0 or array.shape[-1] != 4:
-        raise FiveBarError(f"theta has the shape {array.shape}: the last axis must have 4 elements.")
-    return array
+    return numbers("theta", theta, 4, "rad")
 
 
 def _weight(scene: Scene, theta: Floats) -> Floats:
