@@ -1,6 +1,7 @@
 """An instance of the FMU under test in FMPy, addressed by variable names. Unlike `fivebar.Unit` it may make illegal calls."""
 
 import struct
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +17,9 @@ Values = dict[str, float | int | bool]
 
 CALLS = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boolean": "Boolean"}
 """Ends of the names of calls that set and read variables, by type."""
+
+LOADING = threading.Lock()
+"""FMPy changes the working directory of the process while it loads a library: two threads must not do so at once."""
 
 
 @dataclass
@@ -47,13 +51,14 @@ def instantiate(
 ) -> fmi2.FMU2Slave:
     """A new instance of the FMU extracted to `directory`; its messages go to `log`. `guid` replaces the model's GUID."""
     identifier = model.coSimulation.modelIdentifier
-    slave = fmi2.FMU2Slave(
-        guid=model.guid if guid is None else guid,
-        unzipDirectory=directory,
-        modelIdentifier=identifier,
-        instanceName=name,
-        libraryPath=shipped.library(directory, identifier),
-    )
+    with LOADING:
+        slave = fmi2.FMU2Slave(
+            guid=model.guid if guid is None else guid,
+            unzipDirectory=directory,
+            modelIdentifier=identifier,
+            instanceName=name,
+            libraryPath=shipped.library(directory, identifier),
+        )
     slave.instantiate(callbacks=log.callbacks(), loggingOn=logging_on)
     return slave
 
