@@ -59,7 +59,7 @@ use cause::Causes;
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
 use encoder::{GateConditions, Measurement};
-use error_state::{LEARNED, Learned};
+use error_state::{Error, FORCE, LEARNED, Learned};
 use filter::{Correction, Estimated, Filter};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
@@ -72,7 +72,7 @@ pub use machine::{Bands, Machine, Parameters, Prior, set_lengths};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
 use tuning::{
-    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, HOPELESS_RATE, LARGEST_NIS,
+    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, HOPELESS_RATE, LARGEST_HOLD, LARGEST_NIS,
     LARGEST_SIGMA_ALONE, LEARNING_PERSISTENCES, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
 };
 use unaided::Unaided;
@@ -347,7 +347,7 @@ impl Estimator {
         let columns = self.filter.expect(&mut prediction, (i, &used.innovation), errors);
         let nis = prediction.nis();
         self.watch(machine, (motion, frame), (i, measurement), nis, errors);
-        self.begin_unaided(i, frame, models, errors);
+        self.begin_unaided(machine.torque_scale(), i, frame, models, errors);
         // Gate.
         let witnessed = self.encoders[1 - i].is_settled();
         let conditions = GateConditions { patient: self.hypotheses.is_branch_known(), witnessed };
@@ -407,13 +407,23 @@ impl Estimator {
     }
 
     /// Starts the estimate without encoder i if the reading repeats, and ends it if the reading changes.
-    fn begin_unaided(&mut self, i: usize, frame: &Frame, models: &[f64; MODELS], errors: Option<&ReadingErrors>) {
+    fn begin_unaided(
+        &mut self,
+        torque_scale: f64,
+        i: usize,
+        frame: &Frame,
+        models: &[f64; MODELS],
+        errors: Option<&ReadingErrors>,
+    ) {
         let encoders = [&self.encoders[i], &self.encoders[1 - i]];
-        self.unaided[i].receive(
-            encoders,
-            || (self.filter.without_parameters(errors), self.filter.belief.tangent_force(frame).norm()),
-            models,
-        );
+        let start = || {
+            let mut by_hold = Error::zeros();
+            by_hold
+                .fixed_rows_mut::<2>(FORCE)
+                .copy_from(&(frame.basis.row(MEASURED[i]).transpose() * (LARGEST_HOLD * torque_scale)));
+            (self.filter.without_parameters(errors), self.filter.belief.tangent_force(frame).norm(), by_hold)
+        };
+        self.unaided[i].receive(encoders, start, models);
     }
 
     /// Whether the encoders are exchanged: their first samples are far from the estimate, but fit it if they are exchanged. Later samples

@@ -8,8 +8,9 @@ use nalgebra::Matrix2;
 
 use super::belief::{Bank, persistence};
 use super::encoder::{Encoder, Fault, Measurement};
-use super::error_state::Error;
+use super::error_state::{Error, FORCE, move_errors, turn_errors};
 use super::propagation::{ProcessNoise, Propagation};
+use super::stored;
 use super::tuning::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 
 /// Errors relative to the motion of the estimate, without the samples of one encoder since its reading last changed.
@@ -21,6 +22,9 @@ pub(super) struct Unaided {
     time: f64,
     /// Size of the unknown force at the start, N·m.
     force: f64,
+    /// Turn by a constant torque on the axis, [`LARGEST_HOLD`] of the torque scale, since the axis should have begun to turn.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    by_hold: Error,
     /// Whether samples of the encoder are ignored because the axis has turned.
     doubted: bool,
     /// Whether the other encoder's reading has changed since the start. If neither changes, the machine may be blocked.
@@ -31,21 +35,26 @@ pub(super) struct Unaided {
 
 impl Unaided {
     /// Starts at the first repeated reading of an encoder, before this sample corrects the estimate. Ends when the reading changes, or when
-    /// the other encoder fails after its reading has changed. `start` returns the errors of the estimate and the size of the unknown force,
-    /// N·m; `models` are the prior probabilities of the estimate's models.
-    pub(super) fn receive(&mut self, [own, other]: [&Encoder; 2], start: impl FnOnce() -> (Bank, f64), models: &[f64; MODELS]) {
+    /// the other encoder fails after its reading has changed. `start` returns the errors of the estimate, the size of the unknown force,
+    /// N·m, and the torque that may hold the axis as an error; `models` are the prior probabilities of the estimate's models.
+    pub(super) fn receive(
+        &mut self,
+        [own, other]: [&Encoder; 2],
+        start: impl FnOnce() -> (Bank, f64, Error),
+        models: &[f64; MODELS],
+    ) {
         if !own.repeats() || other.fails() && self.other_changed {
             self.bank = None;
         } else if self.bank.is_none() && own.fault != Fault::Stuck && !other.fails() {
-            let (mut bank, force) = start();
+            let (mut bank, force, by_hold) = start();
             bank.reset_priors(models);
             let settled = own.is_settled();
-            *self = Self { bank: Some(bank), time: 0.0, force, doubted: false, other_changed: false, settled };
+            *self = Self { bank: Some(bank), time: 0.0, force, by_hold, doubted: false, other_changed: false, settled };
         }
     }
 
     /// Judges a repeated reading. The repetition is a fault if the other reading has changed and the axis has turned further than the
-    /// errors allow. If a force of some model explains the repetition, a push may hold the axis for a while by chance. If the push would
+    /// errors allow and than a small torque could have held it: friction or a drive that no input tells of may keep an axis at rest. If a force of some model explains the repetition, a push may hold the axis for a while by chance. If the push would
     /// have to cancel a large turn, the reading is ignored until it changes. If the other reading repeats as well, the machine may be
     /// blocked. The repetition is then a fault only if the estimate had settled and no force of any model can block the axis like this.
     pub(super) fn judge(&mut self, sample: &Measurement) -> Fault {
@@ -54,7 +63,12 @@ impl Unaided {
         let expected = bank.prediction(&innovation);
         let (off, variance) = expected.mixture_moments();
         let of_angle = (variance - innovation.noise).max(0.0).sqrt();
-        let turned = off.abs() > OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle;
+        // As long as the axis need not have turned, nothing has held it.
+        if off.abs() <= quantum + sigma {
+            self.by_hold.fixed_rows_mut::<FORCE>(0).fill(0.0);
+        }
+        let held = if self.other_changed { innovation.row.dot(&self.by_hold).abs() } else { 0.0 };
+        let turned = off.abs() > held + OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle;
         let (lasts, leaps) = (self.time > LONGEST_CHANCE, off.abs() > LARGEST_CHANCE * quantum);
         let unexplained = expected.nis_of_loudest_model(0.0) > GATE;
         self.doubted |= turned && if self.other_changed { lasts || leaps } else { leaps && unexplained && self.settled };
@@ -78,6 +92,7 @@ impl Unaided {
         if let Some(bank) = &mut self.bank {
             bank.subtract_mean(error);
             bank.change_basis(turn);
+            turn_errors(turn, &mut self.by_hold);
         }
     }
 
@@ -98,6 +113,7 @@ impl Unaided {
             // A repeated reading keeps its error.
             let noise = ProcessNoise { kept: 1.0, ..*noise };
             let stay = persistence(timing.0, timing.1);
+            move_errors(&step.f, 1.0, &mut self.by_hold);
             bank.predict(&step.f, &noise, [scale, inertia, self.force * CARRIED_WALK.sqrt()], stay, &LIKELY_MODELS);
         }
     }

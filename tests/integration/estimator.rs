@@ -558,6 +558,49 @@ fn a_frozen_encoder_is_distinguished_from_an_axis_at_rest() {
     }
 }
 
+/// A reading repeats because a drive that no input tells of holds its axis, while another drive turns the other axis: no encoder is stuck,
+/// and the estimate stays on the readings, within 20 mrad while the other axis starts and the unknown forces jump. The other axis starts
+/// within 0.2 s, or a wave turns it to and fro.
+#[test]
+fn an_axis_that_a_drive_holds_is_not_a_stuck_encoder() {
+    /// Angle after a time, turning by a rate.
+    type Course = fn(f64, f64) -> f64;
+    let ramp: Course = |rate, time| rate * if time < 0.2 { time * time / 0.4 } else { time - 0.1 };
+    let wave: Course = |rate, time| rate * (1.0 - (1.5 * time).cos()) / 1.5;
+    let slow = &[(10_u32, 3.14e-4), (10, 6.3e-4), (10, 1.745e-3), (10, 1e-4)][..];
+    let all = &[slow, &[(1, 3.14e-4)]].concat()[..];
+    for (name, course, encoders) in [("ramp", ramp, slow), ("wave", wave, all)] {
+        for (held, rate) in [(0, 0.35), (0, 0.1), (0, 0.2), (1, -0.35), (1, -0.1)] {
+            for &(period, quantum) in encoders {
+                let mut parameters = default_parameters();
+                parameters.settings.method = Method::Automatic;
+                parameters.effects.gravity.enabled = false;
+                parameters.estimator.enabled = true;
+                (parameters.estimator.sigma, parameters.estimator.quantum) = ([0.0; 2], [quantum; 2]);
+                let inputs = default_inputs();
+                let mut following = Following::new(&parameters, &inputs).expect("a scene");
+                for step in 0..2000_u32 {
+                    let time = f64::from(step) * 1e-3;
+                    let case = || format!("{name}, axis {held} held, {rate} rad/s, {period} ms, {quantum} rad, at {time} s");
+                    let mut angles = parameters.start.theta;
+                    angles[1 - held] += course(rate, (time - 0.3).max(0.0));
+                    if step % period == 0 {
+                        let theta = angles.map(|angle| (angle / quantum).round() * quantum);
+                        following.correct(&Measured { theta, time: [time; 2] }, time);
+                        let faults = [0, 1].map(|i| following.estimator().encoder(i).1);
+                        assert!(faults.iter().all(|fault| *fault != Fault::Stuck), "{}: {faults:?}", case());
+                        for i in 0..2 {
+                            let off = following.motion().theta[MEASURED[i]] - angles[i];
+                            assert!(off.abs() < 0.02, "{}: {off} rad", case());
+                        }
+                    }
+                    following.advance_along(&Signal::held(inputs), 1e-3, 1).expect("a step");
+                }
+            }
+        }
+    }
+}
+
 /// Setpoints of servos that swing both axes by 0.25 rad at 2 rad/s, at least 0.4 rad apart.
 fn swing_course(time: f64) -> Inputs {
     let (angle, rate) = (0.25 * (2.0 * time).sin(), 0.5 * (2.0 * time).cos());

@@ -311,18 +311,17 @@ def test_a_haptic_pantograph(recordings: Path, fmu: Path, tmp_path: Path) -> Non
         main(["import", str(recordings / "haptic_pantograph"), "--map", str(tmp_path / "map.json"), "-o", record]) == 0
     )
     words = ["validate", record, "--scene", str(tmp_path / "pantograph.json"), "--fmu", str(fmu)]
-    # Exit code 1: for 2.6 s the twin loses the machine, because a reading that a drive keeps constant counts as stuck.
+    # Exit code 1: the forecasts of one axis just miss their goal, 1.2 times the error of the best other predictor. Measured: 1.21 and 1.13.
     assert main([*words, "--out", str(tmp_path / "out")]) == 1
     content = json.loads((tmp_path / "out" / "validation.json").read_text(encoding="utf-8"))
     part = content["held_out"]
     assert content["samples"]["followed"] == content["samples"]["estimated"] == 6055
-    assert len(part["not_judged"]) == 3 and content["alarms"] <= 1
-    # Goals that are met. Measured: 99.9, 97.0 and 94.0 % inside, 1.3 times the 95th percentile of the error at 0.1 s.
+    # A drive holds axis 1 for 3.6 s, which is no frozen encoder.
+    assert len(part["not_judged"]) == 3 and content["alarms"] == 0
     near = part["forecasts"]["0.1"]
-    assert all(each["coverage95"] >= 0.9 for each in (part["innovations"], *part["forecasts"].values()))
-    assert near["relative_width95"] <= 4
-    assert len(content["missed"]) == 2
-    assert all(text.startswith("forecasts of encoder") and " 0.1 s ahead " in text for text in content["missed"])
+    best = np.min([other["rms_mrad"] for other in near["others"].values()], axis=0)
+    assert np.all(np.array(near["rms_mrad"]) <= 1.3 * best)
+    assert all(each["coverage95"] >= 0.99 for each in (part["innovations"], *part["forecasts"].values()))
 
 
 def test_a_serial_arm(recordings: Path, fmu: Path, tmp_path: Path) -> None:
