@@ -3,7 +3,7 @@
 import json
 import math
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,16 +14,19 @@ from matplotlib.figure import Figure
 from fivebar.colours import LEFT, RIGHT
 from fivebar.drawing import ABOVE, FAINT, INK, RUN_COLOURS, STYLE, WRONG, panels, save
 from fivebar.library import Library
-from fivebar.twin import figures, held_out, scene, starter, summary
+from fivebar.twin import figures, held_out, scene, setup, starter, summary, torque_scale
 from fivebar.twin.ahead import Ahead
 from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
+from fivebar.twin.figures import Story
 from fivebar.twin.follow import Twin
 from fivebar.twin.held_out import Errors, HeldOut
 from fivebar.twin.machine import Player
 from fivebar.twin.messages import INPUTS, encode
+from fivebar.twin.process import Worker
 from fivebar.twin.recorder import Recorder
 from fivebar.twin.soak import BEGIN, Wire
+from fivebar.twin.torque_scale import Advice, Needed
 from fivebar.twin.watch import Watch
 
 TICK_EVERY: Final = 100
@@ -85,15 +88,7 @@ def follow(config: Config, known_commands: bool = False) -> tuple[dict[str, Any]
     With `known_commands`, forecasts follow the recorded commands of their time. Otherwise they know the plan of the scene or none."""
     library = Library(Path(config.fmu))
     try:
-        twin, ahead, watch, recorder = (
-            Twin(config, library),
-            Ahead(config, library, at_once=True),
-            Watch(config),
-            Recorder(config),
-        )
-        recorder.about = twin.setup.to_message(config.unit, BEGIN)
-        wire, source = Wire(config, twin, ahead, watch, recorder), Player(config)
-        source.start_ns = BEGIN
+        ahead, watch, source = Ahead(config, library, at_once=True), Watch(config), Player(config)
         commanded = [name for name in INPUTS if name in source.recording.columns]
         if known_commands:
             if not commanded:
@@ -101,19 +96,14 @@ def follow(config: Config, known_commands: bool = False) -> tuple[dict[str, Any]
                     f"{config.machine.csv} has no commands for the forecasts to use; it needs a column servo.theta, servo.omega or tau"
                 )
             ahead.forecaster.known = source.commands(scene.read(Path(config.scene)))
-        count = 0
-        while (sample := source.next()) is not None:
-            wire.send("meas", encode(sample))
-            count += 1
-            if count % TICK_EVERY == 0:
-                wire.tick()
-        wire.end()
+        workers = _play(config, library, source, ahead, watch)
+        story = figures.read(config.record)
+        judged = held_out.judge(config, story, known_commands)
+        advice = _advice(config, library, story, judged)
     finally:
         library.close()
-    story = figures.read(config.record)
-    status = {worker.name: [{"refused": worker.refused, **worker.status()}] for worker in wire.workers}
+    status = {worker.name: [{"refused": worker.refused, **worker.status()}] for worker in workers}
     whole = figures.summarise(config, story, figures.judge(story), status, {})
-    judged = held_out.judge(config, story, known_commands)
     part = judged.content()
     if not commanded:
         part["not_judged"].append(
@@ -126,6 +116,7 @@ def follow(config: Config, known_commands: bool = False) -> tuple[dict[str, Any]
         "notes": source.recording.notes,
         "samples": whole["samples"],
         "held_out": part,
+        "unknown_torque": advice.content(),
         "alarms": whole["alarms"],
         "causes": whole["causes"],
         "tip_error_mm": whole["tip_error_mm"],
@@ -133,6 +124,39 @@ def follow(config: Config, known_commands: bool = False) -> tuple[dict[str, Any]
     }
     unfollowed = figures.unfollowed(whole)
     return content | {"missed": [*([unfollowed] if unfollowed else []), *part["missed"], *whole["missed"]]}, judged
+
+
+def _play(config: Config, library: Library, source: Player, *others: Worker) -> list[Worker]:
+    """Plays a recording to a twin, its recorder and other workers; returns all of them. The record is in the folder of the configuration."""
+    twin, recorder = Twin(config, library), Recorder(config)
+    recorder.about = twin.setup.to_message(config.unit, BEGIN)
+    wire = Wire(config, twin, *others, recorder)
+    source.start_ns = BEGIN
+    count = 0
+    while (sample := source.next()) is not None:
+        wire.send("meas", encode(sample))
+        count += 1
+        if count % TICK_EVERY == 0:
+            wire.tick()
+    wire.end()
+    return list(wire.workers)
+
+
+def _advice(config: Config, library: Library, story: Story, judged: HeldOut) -> Advice:
+    """Measures the unknown torques. If another `estimator.torqueScale` may remove alarms or misses, a second twin follows with it."""
+    now = _needed(config, library, story, judged)
+    if (other := now.to_try()) is None:
+        return Advice(now)
+    again = replace(config, folder=str(config.path / "again"), twin=config.twin | {torque_scale.NAME: other})
+    again.path.mkdir(mode=0o700)
+    _play(again, library, Player(again))
+    tried = figures.read(again.record)
+    return Advice(now, _needed(again, library, tried, held_out.judge(again, tried)))
+
+
+def _needed(config: Config, library: Library, story: Story, judged: HeldOut) -> Needed:
+    values = setup.of_run(config, scene.read(Path(config.scene)), library.guid).values
+    return torque_scale.measure(story, torque_scale.effective(library, values), judged.innovations.coverage())
 
 
 def _write(out: Path, content: dict[str, Any], judged: HeldOut) -> list[Path]:
@@ -150,7 +174,7 @@ def _write(out: Path, content: dict[str, Any], judged: HeldOut) -> list[Path]:
         page.write_text(
             summary.page_of(
                 f"{content['scene']}: the twin judged by a recording",
-                content["description"],
+                f"{content['description']} {content['unknown_torque']['advice']}".strip(),
                 _cards(content),
                 pictures,
                 content,
@@ -177,6 +201,7 @@ def _tell(content: dict[str, Any], files: list[Path]) -> None:
                 f"tip: forecasts {ahead} s ahead {given['error_mm']:.3g} mm off (rms), {100 * given['coverage95']:.3g} % inside their circles"
             )
     print(f"alarms: {content['alarms']}" + (f", of {', '.join(content['causes'])}" if content["causes"] else ""))
+    print("\n".join(torque_scale.lines(content["unknown_torque"])))
     for sentence in content["missed"]:
         print(f"promise not kept: {sentence}")
     print(f"written: {', '.join(map(str, files))}")
@@ -196,6 +221,7 @@ def _cards(content: dict[str, Any]) -> str:
             ),
             summary.card(_percent(given["coverage95"]), ".1f", "%", f"of the forecasts of {ahead} s inside 95 %"),
         ]
+    cards.append(summary.card(content["unknown_torque"]["size99_nm"], ".3g", "N·m", "unknown torque, 99 % quantile"))
     return "".join([*cards, summary.card(content["alarms"], "d", "", "alarms")])
 
 
