@@ -377,6 +377,12 @@ def gripped(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Columns:
     return {"time": 1e-9 * np.array([sample.time - samples[0].time for sample in samples])} | columns
 
 
+def test_a_stand_in_with_late_commands_starts_at_rest(gripped: Columns) -> None:
+    """Until the first commands act, the drives hold them. All commands rest for 0.3 s, and so does the machine, to the last step of an encoder."""
+    for i in (1, 2):
+        assert np.ptp(gripped[f"servo.theta[{i}]"][:30]) == np.ptp(gripped[f"measured.theta[{i}]"][:30]) == 0
+
+
 @pytest.mark.parametrize("kp", [0.5, 1.5])
 def test_a_torque_scale_is_proposed_that_ends_false_alarms(
     gripped: Columns, judge: Judge, kp: float, capsys: pytest.CaptureFixture[str], tmp_path: Path
