@@ -76,6 +76,17 @@ def test_links_have_titles_of_pages(site: Path) -> None:
 
 
 @pytest.mark.nightly
+def test_a_screen_reader_finds_names(site: Path) -> None:
+    """Each dialog has a name, and no head of a table is empty."""
+    for page in site.rglob("*.html"):
+        if "live" not in page.parts:
+            text = page.read_text(encoding="utf-8")
+            dialogs = re.findall(r'<[^>]*role="dialog"[^>]*>', text)
+            assert dialogs and all("aria-label" in dialog for dialog in dialogs), page.name
+            assert not re.search(r"<th\b[^>]*>\s*</th>", text), page.name
+
+
+@pytest.mark.nightly
 def test_wide_lines_of_a_shell_have_their_comments_above(site: Path) -> None:
     page = (site / "calibration.html").read_text(encoding="utf-8")
     block = re.sub(

@@ -247,16 +247,21 @@ SMALL = re.compile(r"(?<![\w.])\d+(?:\.\d+)?e-\d+")
 NAME = re.compile(r"(?<=\w)(?:::|[_./=])(?=\w)|(?<=\w)(?=[\[(])|,(?=\S)")
 """Places at which a name in a cell may break."""
 
+EMPTY_HEAD = re.compile(r"<th((?: [^>]*)?)></th>")
+DIALOG = 'data-md-component="search" role="dialog"'
+
 
 def on_post_page(output: str, **_: object) -> str:
-    """Lets names in cells break behind their parts, and numbers not at all, so that columns keep a readable width on a telephone."""
+    """Lets names in cells break behind their parts, and numbers not at all, so that columns keep a readable width on a telephone. For screen
+    readers the dialog of the search gets a name, and an empty head of a table is a plain cell."""
 
     def text(part: re.Match[str]) -> str:
         if SMALL.search(part[0]):
             return SMALL.sub(r'<span class="number">\g<0></span>', part[0])
         return NAME.sub(r"\g<0><wbr>", part[0]) if max(map(len, part[0].split()), default=0) > 8 else part[0]
 
-    return CELL.sub(lambda cell: TEXT.sub(text, cell[0]), output)
+    named = EMPTY_HEAD.sub(r"<td\1></td>", output.replace(DIALOG, f'{DIALOG} aria-label="Search"'))
+    return CELL.sub(lambda cell: TEXT.sub(text, cell[0]), named)
 
 
 @event_priority(-200)
