@@ -11,6 +11,8 @@ use fivebar::simulation::{Following, Method, Parameters, Signal, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
+use crate::support::is_nightly;
+
 /// Macro step and time between samples, s.
 const H: f64 = 1e-3;
 const PERIOD: f64 = 0.01;
@@ -171,8 +173,10 @@ fn a_gripper_with_another_gain_and_delay_is_followed() {
         believed.estimator.torque_scale = 1.0;
         // Root mean square of the changes of these commands within 0.1 s, rad.
         believed.estimator.command_scale_theta = [0.13; 2];
-        let figures = follow(&machine, &believed, 61.0, 1);
-        assert!(figures.alarms <= 1, "{kp}: {} alarms", figures.alarms);
+        // The first second is not judged. A minute may have one false alarm; less than a minute has none.
+        let (seconds, most) = if is_nightly() { (61.0, 1) } else { (31.0, 0) };
+        let figures = follow(&machine, &believed, seconds, 1);
+        assert!(figures.alarms <= most, "{kp}: {} alarms", figures.alarms);
         let share = |inside: usize, all: usize| inside as f64 / all as f64;
         // χ² of two readings at 95 %.
         let inside = figures.innovations.iter().filter(|nis| **nis < 5.991_465).count();
