@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,11 +22,26 @@ def page(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate.run("fall_90_120", fmu=fmu).animate(tmp_path_factory.mktemp("page") / "fall_90_120.html")
 
 
+@pytest.fixture(scope="module")
+def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """One browser for all tests: its start takes longer than most of them."""
+    with open_browser("about:blank", tmp_path_factory.mktemp("browser")) as made:
+        yield made
+
+
+def opened(driver: Any, page: Path) -> Iterator[Any]:
+    """The browser with a page newly opened; at the end the console has no warnings, and screen and colours are the browser's own again."""
+    driver.get(page.as_uri())
+    yield driver
+    assert driver.get_log("browser") == []
+    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
 @pytest.fixture
-def browser(page: Path, tmp_path: Path) -> Iterator[object]:
+def browser(driver: Any, page: Path) -> Iterator[Any]:
     """A browser that has the page open."""
-    with open_browser(page.as_uri(), tmp_path) as driver:
-        yield driver
+    yield from opened(driver, page)
 
 
 def clock(browser: object) -> float:
@@ -218,10 +234,9 @@ def map_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def map_browser(map_page: Path, tmp_path: Path) -> Iterator[object]:
+def map_browser(driver: Any, map_page: Path) -> Iterator[Any]:
     """A browser that has the map open."""
-    with open_browser(map_page.as_uri(), tmp_path) as driver:
-        yield driver
+    yield from opened(driver, map_page)
 
 
 def test_the_machine_follows_the_pointer(map_browser: object) -> None:

@@ -27,6 +27,7 @@ from websockets.sync.client import connect
 from browser import open_browser
 from conftest import PATIENCE, REPOSITORY, started, wait_until
 from fivebar.colours import COLOURS
+from fivebar.commands import main
 from fivebar.library import Library
 from fivebar.twin import figures
 from fivebar.twin.dashboard import KEPT, SKIPPED
@@ -78,16 +79,9 @@ class Run:
         assert self.process.returncode == 0, text
         return json.loads((self.out / "summary.json").read_text())
 
-    def replayed(self, fmu: Path) -> str:
-        """Replays the record, which must agree; returns the output."""
-        replay = subprocess.run(
-            [*COMMAND, "replay", str(self.folder / "record"), "--fmu", str(fmu)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert replay.returncode == 0, replay.stdout + replay.stderr
-        return replay.stdout
+    def replayed(self, fmu: Path) -> None:
+        """Replays the record, which must agree."""
+        assert main(["replay", str(self.folder / "record"), "--fmu", str(fmu)]) == 0
 
 
 @contextmanager
@@ -210,7 +204,7 @@ def test_a_broker_that_is_gone_for_a_while(seconds: int, tmp_path: Path, fmu: Pa
     try:
         with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", "--broker", f"127.0.0.1:{port}") as run:
             ear = Ear(port, "est")
-            wait_until(lambda: len(ear.heard) > 400)
+            wait_until(lambda: len(ear.heard) > 200)
             broker.terminate()
             broker.wait()
             gone = time.monotonic()
@@ -218,7 +212,7 @@ def test_a_broker_that_is_gone_for_a_while(seconds: int, tmp_path: Path, fmu: Pa
             broker = mosquitto(tmp_path, file)
             wait_until(lambda: ear.last("est") > gone + seconds)
             back, before = time.monotonic() - gone, len(ear.heard)
-            wait_until(lambda: len(ear.heard) > before + 600)
+            wait_until(lambda: len(ear.heard) > before + 300)
             run.stop()
             summary = run.finish()
             ear.close()
@@ -229,7 +223,7 @@ def test_a_broker_that_is_gone_for_a_while(seconds: int, tmp_path: Path, fmu: Pa
     missing = lost["last"] - lost["first"] + 1
     # Messages lost while the broker is away and until all clients have reconnected.
     assert 200 * seconds <= missing < 200 * (back + 1)
-    assert summary["samples"]["estimated"] > 900
+    assert summary["samples"]["estimated"] > 450
     assert summary["tip_error_mm"]["max"] < 1
     run.replayed(fmu)
 
@@ -304,7 +298,7 @@ def test_roles_and_tls(secured: tuple[Path, int], tmp_path: Path, fmu: Path, sce
         wait_until(lambda: ears["viewer"].last("cmd"))
         ears["viewer"].say(Message("est", "bench", now, 1, {"theta[1]": 0.0}, {"inputs": []}))
         assert not Ear(port, login=("viewer", "wrong", authority)).client.is_connected()
-        wait_until(lambda: len(ears["viewer"].heard) > 1000)
+        wait_until(lambda: len(ears["viewer"].heard) > 400)
         run.stop()
         summary = run.finish()
     assert [m["seq"] for _, kind, m in ears["viewer"].heard if kind == "cmd"] == [3], "the operator's"
@@ -312,7 +306,7 @@ def test_roles_and_tls(secured: tuple[Path, int], tmp_path: Path, fmu: Path, sce
     assert not ears["machine"].heard
     for ear in ears.values():
         ear.close()
-    assert summary["samples"]["lost"] == 0 and summary["samples"]["estimated"] > 1000 and summary["refused"] == 0
+    assert summary["samples"]["lost"] == 0 and summary["samples"]["estimated"] > 300 and summary["refused"] == 0
     log = (run.folder / "log" / "follow.log").read_text()
     assert log.count("restarting with the next sample: requested") >= 1
     run.replayed(fmu)
@@ -395,15 +389,19 @@ def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: 
             payload = next(item for item in items if "payload" in item.text)
             value, canvas = payload.find_element("tag name", "b"), payload.find_element("tag name", "canvas")
             assert "before: 50 ± 20 g" in payload.text
-            wait_until(lambda: "±" in value.text)
-            # The stand-in's payload is 60 g.
-            # Read both at once: they change every second.
-            text, said = browser.execute_script(
-                "return [arguments[0].textContent, arguments[1].getAttribute('aria-label')]", value, canvas
-            )
-            found, half = map(float, text.removesuffix(" g").split(" ± "))
-            assert abs(found - 60) < 2 * half < 5, text
-            assert said.startswith(f"Mass of the payload: {text}, a band ") and float(said.split()[-9]) < 20, said
+
+            def is_found() -> bool:
+                """Whether text and band show the stand-in's payload, 60 g. Both are read at once: they change every second."""
+                text, said = browser.execute_script(
+                    "return [arguments[0].textContent, arguments[1].getAttribute('aria-label')]", value, canvas
+                )
+                if "±" not in text:
+                    return False
+                found, half = map(float, text.removesuffix(" g").split(" ± "))
+                assert said.startswith(f"Mass of the payload: {text}, a band "), said
+                return abs(found - 60) < 2 * half < 5 and float(said.split()[-9]) < 20
+
+            wait_until(is_found)
             wait_until(lambda: drawn(browser, canvas))
             assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
         run.stop()
@@ -451,43 +449,63 @@ def live(tmp_path_factory: pytest.TempPathFactory, fmu: Path, scenes: Path) -> I
     assert summary["samples"]["lost"] == 0
 
 
-def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """One browser for several tests."""
+    with open_browser("about:blank", tmp_path_factory.mktemp("browser")) as made:
+        yield made
+
+
+@pytest.fixture
+def browser(driver: Any, live: Run) -> Iterator[Any]:
+    """The browser with the page of the live run newly opened; at the end the console has no warnings, and the screen is the browser's own."""
+    driver.get(live.page)
+    yield driver
+    assert driver.get_log("browser") == []
+    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    # A page in the background would go on drawing.
+    driver.get("about:blank")
+
+
+def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, browser: Any) -> None:
+    """On a busy machine each text may for a while say how old the last message is: the test waits for the text of a live run."""
     from PIL import Image
 
-    with open_browser(live.page, tmp_path) as browser:
-        wait_until(lambda: browser.find_element("id", "connection").text == "live")
-        wait_until(lambda: "mm in 0.5 s" in browser.find_element("id", "value-ahead").text)
-        first = float(browser.find_element("id", "clock").text)
-        wait_until(lambda: float(browser.find_element("id", "clock").text) > first + 1)
-        wait_until(lambda: browser.find_element("id", "value-error").text.endswith("mm"))
-        assert float(browser.find_element("id", "value-error").text.split()[0]) < 0.8
-        assert browser.find_element("id", "status").text == "Samples of both encoders are used"
-        shot = np.empty((0, 0, 3), dtype=int)
+    def shown(name: str) -> str:
+        return browser.find_element("id", name).text
 
-        def is_drawn() -> bool:
-            """Whether the picture has links and tip; on a busy machine a picture may be taken before they are drawn."""
-            nonlocal shot
-            picture = Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")
-            shot = np.asarray(picture).astype(int)
-            colours = {
-                part: [int(COLOURS[part][i : i + 2], 16) for i in (1, 3, 5)] for part in ("left", "right", "tip")
-            }
-            seen = {part: (np.abs(shot - colour).sum(axis=2) < 30).sum() for part, colour in colours.items()}
-            return bool(seen["left"] > 800 and seen["right"] > 800 and seen["tip"] > 60)
+    def is_near() -> bool:
+        """Whether the error of the tip is shown and small."""
+        error = shown("value-error")
+        return error.endswith("mm") and float(error.split()[0]) < 0.8
 
-        wait_until(is_drawn)
+    wait_until(lambda: shown("connection") == "live")
+    wait_until(lambda: "mm in 0.5 s" in shown("value-ahead"))
+    first = float(shown("clock"))
+    wait_until(lambda: float(shown("clock")) > first + 1)
+    wait_until(is_near)
+    wait_until(lambda: shown("status") == "Samples of both encoders are used")
+
+    def is_drawn() -> bool:
+        """Whether the picture has links, tip and the forecast's fan; on a busy machine a picture may be taken before they are drawn."""
+        picture = Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")
+        shot = np.asarray(picture).astype(int)
+        colours = {part: [int(COLOURS[part][i : i + 2], 16) for i in (1, 3, 5)] for part in ("left", "right", "tip")}
+        seen = {part: (np.abs(shot - colour).sum(axis=2) < 30).sum() for part, colour in colours.items()}
         # The fan of the forecast has the tip's colour, thin over the page.
         red, green, blue = np.moveaxis(shot, 2, 0)
         fan = (green >= red) & (green > blue + 2) & (shot.min(axis=2) > 180)
-        assert fan.sum() > 40, f"{fan.sum()} points of the fan"
-        # The machine moves: the picture changes.
-        before = browser.find_element("id", "canvas").screenshot_as_png
-        wait_until(lambda: browser.find_element("id", "canvas").screenshot_as_png != before)
-        assert not browser.find_element("id", "learned").is_displayed(), "a panel of what is not learned"
-        for chart in ("error", "torque", "nis"):
-            assert drawn(browser, browser.find_element("id", chart)), chart
-        log = live.folder / "log" / "follow.log"
-        order(browser, RESTART, lambda: "requested" in log.read_text())
+        return bool(seen["left"] > 800 and seen["right"] > 800 and seen["tip"] > 60 and fan.sum() > 40)
+
+    wait_until(is_drawn)
+    # The machine moves: the picture changes.
+    before = browser.find_element("id", "canvas").screenshot_as_png
+    wait_until(lambda: browser.find_element("id", "canvas").screenshot_as_png != before)
+    assert not browser.find_element("id", "learned").is_displayed(), "a panel of what is not learned"
+    for chart in ("error", "torque", "nis"):
+        wait_until(lambda chart=chart: drawn(browser, browser.find_element("id", chart)))
+    log = live.folder / "log" / "follow.log"
+    order(browser, RESTART, lambda: "requested" in log.read_text())
 
 
 @pytest.mark.parametrize(("headers", "code"), [({"Host": "evil.example"}, 403), ({}, 200)])
@@ -501,96 +519,94 @@ def test_the_dashboard_is_for_this_machine_only(live: Run, headers: dict[str, st
     assert found == code
 
 
-def test_the_dashboard_withstands_malformed_messages(live: Run, tmp_path: Path) -> None:
+def test_the_dashboard_withstands_malformed_messages(live: Run, browser: Any) -> None:
     """Each of these once froze the page while it showed "live". Python and the page refuse the same messages by the same schema."""
     port = live.config["broker"]["port"]
     ear = Ear(port)
 
-    with open_browser(live.page, tmp_path) as browser:
-        wait_until(lambda: browser.find_element("id", "connection").text == "live")
-        path = {name: xs for name, xs in GOOD["forecast"]["path"].items() if name != "tip.y"}
-        wrong = [
-            ("forecast", {"path": path}),
-            ("forecast", {"singular": 5}),
-            ("alarm", {"figures": {"a": {"valueOf": 1, "toString": 1}}}),
-            ("est", {"inputs": 5}),
-        ]
-        for kind, changes in wrong:
-            # A slow page receives only the newest message of a kind: a skipped message is sent again.
-            def refused(kind: str = kind, changes: dict[str, Any] = changes) -> bool:
-                before = browser.find_element("id", "refused").text
-                ear.client.publish(topic("bench", kind), json.dumps(of_kind(kind, **changes)), qos=1).wait_for_publish(
-                    PATIENCE
-                )
-                time.sleep(0.3)
-                refusal = browser.find_element("id", "refused").text
-                return refusal != before and f"refused, the last: {kind}: " in refusal
+    wait_until(lambda: browser.find_element("id", "connection").text == "live")
+    path = {name: xs for name, xs in GOOD["forecast"]["path"].items() if name != "tip.y"}
+    wrong = [
+        ("forecast", {"path": path}),
+        ("forecast", {"singular": 5}),
+        ("alarm", {"figures": {"a": {"valueOf": 1, "toString": 1}}}),
+        ("est", {"inputs": 5}),
+    ]
+    for kind, changes in wrong:
+        # A slow page receives only the newest message of a kind: a skipped message is sent again.
+        def refused(kind: str = kind, changes: dict[str, Any] = changes) -> bool:
+            before = browser.find_element("id", "refused").text
+            ear.client.publish(topic("bench", kind), json.dumps(of_kind(kind, **changes)), qos=1).wait_for_publish(
+                PATIENCE
+            )
+            time.sleep(0.3)
+            refusal = browser.find_element("id", "refused").text
+            return refusal != before and f"refused, the last: {kind}: " in refusal
 
-            wait_until(refused)
-        before = float(browser.find_element("id", "clock").text)
-        wait_until(lambda: float(browser.find_element("id", "clock").text) > before + 0.3)
-        wait_until(lambda: browser.find_element("id", "connection").text == "live")
-        assert not browser.find_element("id", "undrawn").is_displayed()
-        # A command from a clock that is ahead is answered in words.
-        ahead = f"const now = Date.now; Date.now = () => now() + 90000; {RESTART}; Date.now = now;"
-        order(browser, ahead, lambda: "ahead of the pipeline's own" in browser.find_element("id", "order").text)
-        order(browser, RESTART, lambda: browser.find_element("id", "order").text.startswith("restarting"))
-        corpus = [[kind, content] for kind in GOOD for content in (of_kind(kind), *wrong_ones(kind))]
-        accepted = browser.execute_async_script(
-            """const [corpus, done] = arguments;
-            Promise.all([import("/json-schema/validator.js"), fetch("/messages.schema.json").then((r) => r.json())]).then(([{ Validator }, { definitions }]) => {
-              const of = (kind) => new Validator({ definitions, allOf: [{ $ref: `#/definitions/${kind}` }] }, "7");
-              done(corpus.map(([kind, content]) => of(kind).validate(content).valid));
-            });""",
-            corpus,
-        )
-        assert accepted == [content == of_kind(kind) for kind, content in corpus]
+        wait_until(refused)
+    before = float(browser.find_element("id", "clock").text)
+    wait_until(lambda: float(browser.find_element("id", "clock").text) > before + 0.3)
+    wait_until(lambda: browser.find_element("id", "connection").text == "live")
+    assert not browser.find_element("id", "undrawn").is_displayed()
+    # A command from a clock that is ahead is answered in words.
+    ahead = f"const now = Date.now; Date.now = () => now() + 90000; {RESTART}; Date.now = now;"
+    order(browser, ahead, lambda: "ahead of the pipeline's own" in browser.find_element("id", "order").text)
+    order(browser, RESTART, lambda: browser.find_element("id", "order").text.startswith("restarting"))
+    corpus = [[kind, content] for kind in GOOD for content in (of_kind(kind), *wrong_ones(kind))]
+    accepted = browser.execute_async_script(
+        """const [corpus, done] = arguments;
+        Promise.all([import("/json-schema/validator.js"), fetch("/messages.schema.json").then((r) => r.json())]).then(([{ Validator }, { definitions }]) => {
+          const of = (kind) => new Validator({ definitions, allOf: [{ $ref: `#/definitions/${kind}` }] }, "7");
+          done(corpus.map(([kind, content]) => of(kind).validate(content).valid));
+        });""",
+        corpus,
+    )
+    assert accepted == [content == of_kind(kind) for kind, content in corpus]
     ear.close()
 
 
 @pytest.mark.parametrize("width", [390, pytest.param(1280, marks=pytest.mark.nightly)])
-def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path: Path) -> None:
+def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, browser: Any) -> None:
     """Pill and status turn grey, on a telephone too. Old estimates that still arrive do not turn them green."""
     ear = Ear(live.config["broker"]["port"], "est")
-    with open_browser(live.page, tmp_path) as browser:
-        browser.execute_cdp_cmd(
-            "Emulation.setDeviceMetricsOverride",
-            {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 400},
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 400},
+    )
+    pill = browser.find_element("id", "connection")
+    wait_until(lambda: pill.text == "live")
+    pid = live.pids("follow")[-1]
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        wait_until(lambda: pill.text.startswith("no estimate for"))
+        wait_until(lambda: float(pill.text.split()[3]) >= 1.5)
+        status = browser.find_element("id", "status")
+        wait_until(lambda: status.text.startswith("The twin has said nothing for"))
+        assert "bad" in pill.get_attribute("class") and status.get_attribute("class") == "bad"
+        last, later, shown = ear.heard[-1][2], itertools.count(1), []
+
+        def behind() -> bool:
+            ear.client.publish(topic("bench", "est"), json.dumps(last | {"time": last["time"] + next(later)}))
+            # All at once: after a second without estimates the page would report it.
+            script = "return ['connection', 'status'].flatMap((id) => [document.getElementById(id).textContent, document.getElementById(id).className])"
+            shown[:] = browser.execute_script(script)
+            return shown[0].endswith("s behind")
+
+        wait_until(behind)
+        assert float(shown[0].split()[0]) >= 1.5 and "bad" in shown[1]
+        assert shown[2].startswith("What you see is ") and shown[3] == "bad"
+        assert browser.execute_script(
+            "const r = arguments[0].getBoundingClientRect(); return r.top >= 0 && r.right <= innerWidth", pill
         )
-        pill = browser.find_element("id", "connection")
-        wait_until(lambda: pill.text == "live")
-        pid = live.pids("follow")[-1]
-        os.kill(pid, signal.SIGSTOP)
-        try:
-            wait_until(lambda: pill.text.startswith("no estimate for"))
-            wait_until(lambda: float(pill.text.split()[3]) >= 1.5)
-            assert "bad" in pill.get_attribute("class")
-            status = browser.find_element("id", "status")
-            assert status.text.startswith("The twin has said nothing for") and status.get_attribute("class") == "bad"
-            last, later, shown = ear.heard[-1][2], itertools.count(1), []
-
-            def behind() -> bool:
-                ear.client.publish(topic("bench", "est"), json.dumps(last | {"time": last["time"] + next(later)}))
-                # All at once: after a second without estimates the page would report it.
-                script = "return ['connection', 'status'].flatMap((id) => [document.getElementById(id).textContent, document.getElementById(id).className])"
-                shown[:] = browser.execute_script(script)
-                return shown[0].endswith("s behind")
-
-            wait_until(behind)
-            assert float(shown[0].split()[0]) >= 1.5 and "bad" in shown[1]
-            assert shown[2].startswith("What you see is ") and shown[3] == "bad"
-            assert browser.execute_script(
-                "const r = arguments[0].getBoundingClientRect(); return r.top >= 0 && r.right <= innerWidth", pill
-            )
-            assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
-        finally:
-            os.kill(pid, signal.SIGCONT)
-        wait_until(lambda: pill.text == "live")
+        assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    wait_until(lambda: pill.text == "live")
     ear.close()
 
 
 @pytest.mark.nightly
-def test_a_slow_page_is_not_late(live: Run, tmp_path: Path) -> None:
+def test_a_slow_page_is_not_late(live: Run, browser: Any) -> None:
     """On a processor a twentieth as fast, the page skips messages; drawing all of them, it was 7.3 s behind and fell further back."""
     listen = """
         const send = WebSocket.prototype.send;
@@ -600,16 +616,15 @@ def test_a_slow_page_is_not_late(live: Run, tmp_path: Path) -> None:
           send.call(this, data);
         };"""
 
-    with open_browser(live.page, tmp_path) as browser:
-        delay = browser.find_element("id", "value-delay")
-        wait_until(lambda: delay.text.endswith("ms"))
-        usual = float(delay.text.split()[0])
-        browser.execute_script(listen)
-        browser.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 20})
-        wait_until(lambda: browser.execute_script("return reports.length") > 12)
-        script = "return [reports, performance.now(), parseFloat(document.getElementById('value-delay').textContent)]"
-        reports, now, late = browser.execute_script(script)
-        browser.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 1})
+    delay = browser.find_element("id", "value-delay")
+    wait_until(lambda: delay.text.endswith("ms"))
+    usual = float(delay.text.split()[0])
+    browser.execute_script(listen)
+    browser.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 20})
+    wait_until(lambda: browser.execute_script("return reports.length") > 12)
+    script = "return [reports, performance.now(), parseFloat(document.getElementById('value-delay').textContent)]"
+    reports, now, late = browser.execute_script(script)
+    browser.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 1})
     times, drawn = np.array(reports).T
     longest = np.diff([*times, now]).max()
     handled, came = drawn[-1] - drawn[0], 0.4 * (times[-1] - times[0])
