@@ -236,7 +236,9 @@ ALMOST_ALIKE = [{"link[2].length": 0.3, "link[3].length": 0.3 + more} for more i
         {},
         STOPS,
         {"base.distance": 0.25, "link[2].length": 0.3, "link[3].length": 0.22, "link[4].length": 0.17},
-        *ALMOST_ALIKE,
+        ALMOST_ALIKE[0],
+        *(pytest.param(values, marks=pytest.mark.nightly) for values in ALMOST_ALIKE[1:-1]),
+        ALMOST_ALIKE[-1],
     ],
 )
 @pytest.mark.parametrize("working", WORKING_MODES[:3])
@@ -252,8 +254,8 @@ def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bo
         posture, reached = machine.field(places, working)
         return np.where(reached & (stop_margin(made, posture.motors) >= 0), np.sign(sines(posture.theta)[..., 0]), 0)
 
-    places = random.uniform((-0.3, -0.4), (0.4, 0.4), (4000, 2))
-    for begin in places[side(places) != 0][:100]:
+    places = random.uniform((-0.3, -0.4), (0.4, 0.4), (1000, 2))
+    for begin in places[side(places) != 0][:60]:
         end = begin + random.uniform(-0.15, 0.15, 2)
         sequence = [Piece(line(tuple(begin), tuple(end)), 1, True)]
         shares = np.linspace(0, 1, 4001)[:, None]
@@ -270,7 +272,7 @@ def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bo
         else:
             outcomes["free"] += 1
             assert not len(crossed)
-    assert min(outcomes.values()) > 10
+    assert min(outcomes.values()) > 5
 
 
 @pytest.mark.parametrize(

@@ -99,26 +99,37 @@ def dask_cluster() -> Iterator[Callable[[], Cluster]]:
         yield lambda: Cluster(made.scheduler_address)
 
 
+MEMBERS = 800
+
+
+@pytest.fixture(scope="module")
+def alone(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The members as one process writes them."""
+    file = tmp_path_factory.mktemp("alone") / "alone.parquet"
+    results.write(file, PLAN, rows.alone(fmu.read_bytes(), PLAN, MEMBERS), lambda _: None)
+    return file
+
+
 @pytest.mark.parametrize("kind", ["processes", "cluster"])
-def test_a_killed_worker_loses_nothing(kind: str, fmu: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_a_killed_worker_loses_nothing(
+    kind: str, fmu: Path, alone: Path, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     """Two workers, one killed during the run, give the bytes of one process."""
-    content, members = fmu.read_bytes(), 1000
-    results.write(tmp_path / "alone.parquet", PLAN, rows.alone(content, PLAN, members), lambda _: None)
     workers = Processes(2) if kind == "processes" else request.getfixturevalue("dask_cluster")()
     killed: list[int] = []
 
     def kill(done: int) -> None:
-        if done >= 300 and not killed:
+        if not killed:
             ids = list(workers.client.run(os.getpid).values()) if kind == "cluster" else list(workers.pool._processes)
             killed.append(ids[0])
             os.kill(killed[0], signal.SIGKILL)
 
     with closing(workers):
-        results.write(tmp_path / "workers.parquet", PLAN, workers.tables(content, PLAN, members), kill)
-    assert killed and (tmp_path / "workers.parquet").read_bytes() == (tmp_path / "alone.parquet").read_bytes()
-    file = pq.ParquetFile(tmp_path / "alone.parquet")
-    assert file.metadata.num_rows == members and file.metadata.num_row_groups == members // rows.CHUNK
-    story = results.read(tmp_path / "alone.parquet", PLAN)
+        results.write(tmp_path / "workers.parquet", PLAN, workers.tables(fmu.read_bytes(), PLAN, MEMBERS), kill)
+    assert killed and (tmp_path / "workers.parquet").read_bytes() == alone.read_bytes()
+    file = pq.ParquetFile(alone)
+    assert file.metadata.num_rows == MEMBERS and file.metadata.num_row_groups == MEMBERS // rows.CHUNK
+    story = results.read(alone, PLAN)
     assert story.failed == 0 and story.summary()["singular"]["probability"] == 1.0
     assert len(results.draw(tmp_path, story)) == 2
 

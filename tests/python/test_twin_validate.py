@@ -18,7 +18,7 @@ from conftest import REPOSITORY
 from fivebar import table
 from fivebar.commands import main
 from fivebar.library import Library
-from fivebar.twin import figures, held_out, scene, setup, torque_scale
+from fivebar.twin import figures, held_out, scene, setup, torque_scale, validate
 from fivebar.twin.held_out import HeldOut
 from fivebar.twin.soak import configured, machine
 from twin_support import follower, recorded
@@ -39,6 +39,13 @@ def swing(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Columns:
     library.close()
     columns = {name: np.array([sample.fields[name] for sample in samples]) for name in samples[0].fields}
     return {"time": 1e-9 * np.array([sample.time - samples[0].time for sample in samples])} | columns
+
+
+@pytest.fixture
+def plain_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Validations have empty pictures: drawing takes a third of their time."""
+    for name in ("_errors", "_coverage"):
+        monkeypatch.setattr(validate, name, lambda _: validate.plt.figure(figsize=(1, 1)))
 
 
 @pytest.fixture
@@ -84,6 +91,7 @@ def test_the_scene_s_own_machine_is_predicted(
     assert page.count("<svg") == 2 and "<h1>swing: the twin judged by a recording</h1>" in page and "{{" not in page
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_the_tip_shows_lengths_off_by_a_tenth(
     swing: Columns, judge: Judge, scenes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,6 +108,7 @@ def test_the_tip_shows_lengths_off_by_a_tenth(
     assert content["held_out"]["not_judged"][0] == "the tip, and with it the lengths: the record has no tip.x and tip.y"
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_series_are_judged_one_by_one(swing: Columns, judge: Judge) -> None:
     """The last third of each series is judged; the twin restarts with the second one."""
     columns = {name: np.concatenate([column[:420], column[480:]]) for name, column in swing.items()}
@@ -109,6 +118,7 @@ def test_series_are_judged_one_by_one(swing: Columns, judge: Judge) -> None:
     assert content["held_out"]["seconds"] == pytest.approx(2 * 419 * 0.005 / 3, rel=1e-5)
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_short_record_names_what_is_not_judged(swing: Columns, judge: Judge) -> None:
     code, content = judge({name: column[:240] for name, column in swing.items()}, "swing")
     assert code == 0
@@ -117,6 +127,7 @@ def test_a_short_record_names_what_is_not_judged(swing: Columns, judge: Judge) -
     )
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_later_commands_may_be_known(
     fmu: Path, judge: Judge, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

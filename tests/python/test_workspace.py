@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -277,11 +278,12 @@ def test_tip_force_ends_at_direct_singularities() -> None:
 
 
 def test_pictures_and_tables(tmp_path: Path) -> None:
-    """All files exist and are equal in a second run; tables have names with units; pictures are of modest size."""
+    """All files exist; tables and the first mode's pictures are equal in a second run; tables have names with units; pictures are of modest
+    size."""
     values = MACHINES["stopped"] | {"servo.enabled": True, "payload.enabled": True}
     map_ = workspace.compute(made(values), cells=60, modes=WORKING_MODES[:2])
-    for folder in (tmp_path / "a", tmp_path / "b"):
-        files = workspace.write(map_, folder) + workspace_pictures.draw(map_, folder)
+    for folder, drawn in ((tmp_path / "a", map_), (tmp_path / "b", replace(map_, modes=map_.modes[:1]))):
+        files = workspace.write(map_, folder) + workspace_pictures.draw(drawn, folder)
         assert sorted(files) == sorted(folder.iterdir())
     names = {path.name for path in (tmp_path / "a").iterdir()}
     pictures = {
@@ -293,7 +295,8 @@ def test_pictures_and_tables(tmp_path: Path) -> None:
     assert names == pictures | {"field.csv", "loci.csv", "discs.csv"} and len(pictures) == 8
     for name in names:
         content = (tmp_path / "a" / name).read_bytes()
-        assert content == (tmp_path / "b" / name).read_bytes(), name
+        if name not in pictures or map_.modes[0].name in name:
+            assert content == (tmp_path / "b" / name).read_bytes(), name
         assert len(content) < (400_000 if name in pictures else 20_000_000)
     with (tmp_path / "a" / "field.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
