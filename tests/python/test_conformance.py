@@ -126,7 +126,7 @@ def test_walk_on_a_unit_of_one_s_own(run_own: Run, calls: int) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("calls", [25_000, pytest.param(250_000, marks=LONG)])
+@pytest.mark.parametrize("calls", [10_000, pytest.param(250_000, marks=LONG)])
 def test_random_walk_under_valgrind(run: Run, calls: int) -> None:
     # Values up to 1e2: larger ones need many sub-steps and take fifty times as long.
     assert "steps discarded" in run("walk", calls, 4, 2, under=MEMCHECK)
