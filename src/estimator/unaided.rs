@@ -3,12 +3,14 @@
 //! The errors of this second bank are relative to the motion of the estimate and change with it. Only samples of the other encoder correct
 //! them.
 
+use std::f64::consts::TAU;
+
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::belief::{Bank, persistence};
 use super::encoder::{Encoder, Fault, Measurement};
-use super::error_state::{Error, FORCE, move_errors, turn_errors};
+use super::error_state::{Error, FORCE, RATE, move_errors, turn_errors};
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
 use super::tuning::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
@@ -22,7 +24,7 @@ pub(super) struct Unaided {
     time: f64,
     /// Size of the unknown force at the start, N·m.
     force: f64,
-    /// Turn by a constant torque on the axis, [`LARGEST_HOLD`] of the torque scale, since the axis should have begun to turn.
+    /// Error by a constant torque on the axis, [`LARGEST_HOLD`](super::tuning::LARGEST_HOLD) of the torque scale, since the axis should have begun to turn.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     by_hold: Error,
     /// Whether samples of the encoder are ignored because the axis has turned.
@@ -54,8 +56,9 @@ impl Unaided {
     }
 
     /// Judges a repeated reading. The repetition is a fault if the other reading has changed and the axis has turned further than the
-    /// errors allow and than a small torque could have held it: friction or a drive that no input tells of may keep an axis at rest. If a force of some model explains the repetition, a push may hold the axis for a while by chance. If the push would
-    /// have to cancel a large turn, the reading is ignored until it changes. If the other reading repeats as well, the machine may be
+    /// errors allow and a small torque could prevent: friction or a drive that no input tells of may keep an axis at rest. If a force of
+    /// some model explains the repetition, a push may hold the axis for a while by chance. If the push would have to cancel a large turn,
+    /// the reading is ignored until it changes. If the other reading repeats as well, the machine may be
     /// blocked. The repetition is then a fault only if the estimate had settled and no force of any model can block the axis like this.
     pub(super) fn judge(&mut self, sample: &Measurement) -> Fault {
         let Some(bank) = &self.bank else { return Fault::None };
@@ -114,6 +117,11 @@ impl Unaided {
             let noise = ProcessNoise { kept: 1.0, ..*noise };
             let stay = persistence(timing.0, timing.1);
             move_errors(&step.f, 1.0, &mut self.by_hold);
+            // A whole turn allows any reading.
+            let turn = self.by_hold.fixed_rows::<RATE>(0).norm();
+            if turn > TAU {
+                self.by_hold.fixed_rows_mut::<FORCE>(0).scale_mut(TAU / turn);
+            }
             bank.predict(&step.f, &noise, [scale, inertia, self.force * CARRIED_WALK.sqrt()], stay, &LIKELY_MODELS);
         }
     }
@@ -125,6 +133,8 @@ impl Unaided {
 
     /// Whether a stored value is possible.
     pub(super) fn is_sound(&self) -> bool {
-        self.bank.as_ref().is_none_or(Bank::is_sound) && [self.time, self.force].iter().all(|x| *x >= 0.0 && x.is_finite())
+        self.bank.as_ref().is_none_or(Bank::is_sound)
+            && [self.time, self.force].iter().all(|x| *x >= 0.0 && x.is_finite())
+            && self.by_hold.iter().all(|x| x.is_finite())
     }
 }
