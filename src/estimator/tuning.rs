@@ -169,7 +169,7 @@ pub(super) const NEW_AFTER_SILENCE: f64 = 1.0;
 /// Stuck encoder: smallest distance of its reading from the value that the estimate without it expects, in quantisation intervals, in
 /// standard deviations of the noise, and in standard deviations of the expected angle.
 pub(super) const OVERDUE: [f64; 3] = [2.0, 4.0, 4.0];
-/// Stuck encoder: torque, in torque scales, by which friction or a drive that no input tells of may hold an axis. With 0 a recorded
+/// Stuck encoder: torque, in torque scales, by which friction or an unknown drive may hold an axis. With 0 a recorded
 /// pantograph is lost when a drive holds one axis for 3.6 s (`docs/recordings.md`). Of 660 encoders that freeze, three fewer are reported
 /// within 0.2 s with 0.05 than with 0, and nine fewer with 0.1 (table `faults`, `--part 1 --seeds 8402000000`).
 pub(super) const LARGEST_HOLD: f64 = 0.05;

@@ -13,7 +13,7 @@ use super::encoder::{Encoder, Fault, Measurement};
 use super::error_state::{Error, FORCE, RATE, move_errors, turn_errors};
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
-use super::tuning::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
+use super::tuning::{CARRIED_WALK, GATE, LARGEST_CHANCE, LARGEST_GROWTH, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 
 /// Errors relative to the motion of the estimate, without the samples of one encoder since its reading last changed.
 #[derive(Clone, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -24,7 +24,8 @@ pub(super) struct Unaided {
     time: f64,
     /// Size of the unknown force at the start, N·m.
     force: f64,
-    /// Error by a constant torque on the axis, [`LARGEST_HOLD`](super::tuning::LARGEST_HOLD) of the torque scale, since the axis should have begun to turn.
+    /// Error by a constant torque of [`LARGEST_HOLD`](super::tuning::LARGEST_HOLD) torque scales on the axis, since the reading last agreed
+    /// with the bank's angle.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     by_hold: Error,
     /// Whether samples of the encoder are ignored because the axis has turned.
@@ -55,18 +56,18 @@ impl Unaided {
         }
     }
 
-    /// Judges a repeated reading. The repetition is a fault if the other reading has changed and the axis has turned further than the
-    /// errors allow and a small torque could prevent: friction or a drive that no input tells of may keep an axis at rest. If a force of
-    /// some model explains the repetition, a push may hold the axis for a while by chance. If the push would have to cancel a large turn,
-    /// the reading is ignored until it changes. If the other reading repeats as well, the machine may be
-    /// blocked. The repetition is then a fault only if the estimate had settled and no force of any model can block the axis like this.
+    /// Judges a repeated reading. The repetition is a fault if the other reading has changed and the axis has turned further than errors
+    /// and a small holding torque together explain. Friction or an unknown drive may be such a torque. If a force of some model explains
+    /// the repetition, a push may hold the axis for a while by chance. If the push would have to cancel a large turn, the reading is ignored
+    /// until it changes. If the other reading repeats as well, the machine may be blocked. The repetition is then a fault only if the
+    /// estimate had settled and no force of any model can block the axis like this.
     pub(super) fn judge(&mut self, sample: &Measurement) -> Fault {
         let Some(bank) = &self.bank else { return Fault::None };
         let &Measurement { sigma, quantum, innovation, .. } = sample;
         let expected = bank.prediction(&innovation);
         let (off, variance) = expected.mixture_moments();
         let of_angle = (variance - innovation.noise).max(0.0).sqrt();
-        // As long as the axis need not have turned, nothing has held it.
+        // While the reading agrees with the bank's angle, the hold starts again: no angles and rates.
         if off.abs() <= quantum + sigma {
             self.by_hold.fixed_rows_mut::<FORCE>(0).fill(0.0);
         }
@@ -117,7 +118,7 @@ impl Unaided {
             let noise = ProcessNoise { kept: 1.0, ..*noise };
             let stay = persistence(timing.0, timing.1);
             move_errors(&step.f, 1.0, &mut self.by_hold);
-            // A whole turn allows any reading.
+            // The angles are bounded, so that all errors stay finite.
             let turn = self.by_hold.fixed_rows::<RATE>(0).norm();
             if turn > TAU {
                 self.by_hold.fixed_rows_mut::<FORCE>(0).scale_mut(TAU / turn);
@@ -135,6 +136,6 @@ impl Unaided {
     pub(super) fn is_sound(&self) -> bool {
         self.bank.as_ref().is_none_or(Bank::is_sound)
             && [self.time, self.force].iter().all(|x| *x >= 0.0 && x.is_finite())
-            && self.by_hold.iter().all(|x| x.is_finite())
+            && self.by_hold.iter().all(|x| x.abs() < LARGEST_GROWTH)
     }
 }

@@ -558,7 +558,7 @@ fn a_frozen_encoder_is_distinguished_from_an_axis_at_rest() {
     }
 }
 
-/// A reading repeats because a drive that no input tells of holds its axis, while another drive turns the other axis: no encoder is stuck,
+/// A reading repeats because an unknown drive holds its axis, while another drive turns the other axis: no encoder is stuck,
 /// and the estimate stays on the readings, within 20 mrad while the other axis starts and the unknown forces jump. The other axis starts
 /// within 0.2 s, or a wave turns it to and fro.
 #[test]

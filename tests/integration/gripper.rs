@@ -173,7 +173,7 @@ fn a_gripper_with_another_gain_and_delay_is_followed() {
         believed.estimator.torque_scale = 1.0;
         // Root mean square of the changes of these commands within 0.1 s, rad.
         believed.estimator.command_scale_theta = [0.13; 2];
-        // The first second is not judged. A minute may have one false alarm; less than a minute has none.
+        // The first second is not judged. Allowed are one false alarm in a minute, and none in half a minute.
         let (seconds, most) = if is_nightly() { (61.0, 1) } else { (31.0, 0) };
         let figures = follow(&machine, &believed, seconds, 1);
         assert!(figures.alarms <= most, "{kp}: {} alarms", figures.alarms);

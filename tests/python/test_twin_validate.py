@@ -329,16 +329,19 @@ def test_a_haptic_pantograph(recordings: Path, fmu: Path, tmp_path: Path) -> Non
         main(["import", str(recordings / "haptic_pantograph"), "--map", str(tmp_path / "map.json"), "-o", record]) == 0
     )
     words = ["validate", record, "--scene", str(tmp_path / "pantograph.json"), "--fmu", str(fmu)]
-    # Exit code 1: the forecasts of one axis just miss their goal, 1.2 times the error of the best other predictor. Measured: 1.21 and 1.13.
-    assert main([*words, "--out", str(tmp_path / "out")]) == 1
+    code = main([*words, "--out", str(tmp_path / "out")])
     content = json.loads((tmp_path / "out" / "validation.json").read_text(encoding="utf-8"))
     part = content["held_out"]
+    # The one goal that may be missed: 1.2 times the error of the best other predictor. Measured: 1.21 and 1.13.
+    assert all(text.startswith("forecasts of encoder 1 0.1 s ahead") for text in content["missed"])
+    assert code == int(bool(content["missed"]))
     assert content["samples"]["followed"] == content["samples"]["estimated"] == 6055
     # A drive holds axis 1 for 3.6 s, which is no frozen encoder.
     assert len(part["not_judged"]) == 3 and content["alarms"] == 0 and content["unknown_torque"]["advice"] == ""
+    # A tenth and a quarter more than measured, for digits of other builds. Measured: a width of 12.1.
     near = part["forecasts"]["0.1"]
     best = np.min([other["rms_mrad"] for other in near["others"].values()], axis=0)
-    assert np.all(np.array(near["rms_mrad"]) <= 1.3 * best)
+    assert np.all(np.array(near["rms_mrad"]) <= 1.33 * best) and near["relative_width95"] <= 15
     assert all(each["coverage95"] >= 0.99 for each in (part["innovations"], *part["forecasts"].values()))
 
 
