@@ -26,7 +26,7 @@ def validate(record: Path, scene: str, known_commands: bool, fmu: Path | None, o
 
     RECORD is a table with time (s), measured.theta[1..2] (rad) and, as far as known, commands (servo.theta, servo.omega, tau) and the tip (tip.x, tip.y).
     The twin follows it; its last third is held out: innovations, forecasts and their bands are judged there, and compared with predictors without mechanics.
-    If the record has false alarms, a value for estimator.torqueScale is proposed.
+    If alarms are frequent or too few innovations are inside, and a larger estimator.torqueScale ends this, it is proposed.
 
     \b
     fivebar validate bench.csv --scene my_machine.json

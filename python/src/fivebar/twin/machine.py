@@ -55,7 +55,7 @@ class StandIn:
         """Encoder reading minus true angle, rad. The drives close their loops on the encoders, so that commands are encoder readings, too."""
 
         self.encoders = setup.encoders(config.machine, self.scene.values)
-        # Until the first commands act, after `servo.delay`, the drives hold the commands of the start.
+        # Until the first commands act, after `servo.delay`, the drives hold the commands of the start, unless the scene has start values.
         values = self.scene.commands_at(0.0) | self.scene.values | secret
         for i, offset in enumerate(self.offsets, 1):
             for name in (f"init.theta[{i}]", f"servo.theta[{i}]"):

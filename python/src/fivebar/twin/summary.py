@@ -96,7 +96,7 @@ def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Fig
     page = config.path / "index.html"
     about = scene.read(Path(config.scene))
     title = f"{about.name}: a run of the twin"
-    page.write_text(page_of(title, about.description, _cards(content), pictures, content), encoding="utf-8")
+    page.write_text(page_of(title, [about.description], _cards(content), pictures, content), encoding="utf-8")
     made = []
     if learned := content["learned"]:
         made.append(config.path / LEARNED)
@@ -352,9 +352,9 @@ def _svg(figure: Figure) -> str:
 
 
 def page_of(
-    title: str, description: str, cards: str, pictures: dict[str, tuple[Figure, str]], content: dict[str, Any]
+    title: str, paragraphs: list[str], cards: str, pictures: dict[str, tuple[Figure, str]], content: dict[str, Any]
 ) -> str:
-    """A self-contained page: cards, pictures with captions, and all figures in a collapsed section."""
+    """A self-contained page: paragraphs that are not empty, cards, pictures with captions, and all figures in a collapsed section."""
     rows = "".join(
         f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>"
         for name, value in _flat(content)
@@ -367,7 +367,7 @@ def page_of(
     page = TEMPLATE.read_text(encoding="utf-8")
     for name, value in (
         ("{{title}}", html.escape(title)),
-        ("{{description}}", html.escape(description)),
+        ("{{paragraphs}}", "\n".join(f"<p>{html.escape(text)}</p>" for text in paragraphs if text)),
         ("{{cards}}", cards),
         ("{{pictures}}", shown),
         ("{{rows}}", rows),

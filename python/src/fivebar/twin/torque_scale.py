@@ -1,5 +1,6 @@
 """Size of the unknown torques that the estimates of a record needed, and the `estimator.torqueScale` that fits them."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -26,7 +27,7 @@ QUIET: Final = 0.005
 """Largest share of the time with an alarm that needs no advice. Alarms of the gripper last 0.22 s on average: one in a minute is 0.4 %."""
 
 EXCEEDS: Final = 2.0
-"""Fitting scale, relative to the scale in use, from which another one is tried. The size depends on the scale that it is measured with:
+"""Another scale is tried if it exceeds the scale in use by this factor. The size depends on the scale that it is measured with:
 the gripper's is up to 1.7 times larger with the weight of the links."""
 
 FEWEST: Final = 100
@@ -41,19 +42,19 @@ GRAVITY: Final = 9.81
 
 @dataclass(frozen=True)
 class Needed:
-    """Unknown torques of a run while it follows, without the first 2 s of each series."""
+    """Unknown torques and alarms of a run, without the first 2 s of each series."""
 
     scale: float
     """Scale in use, N·m."""
 
     size: float | None
-    """The larger of both unknown torques, N·m: `SHARE` of the estimates have at most this size. None if there are too few."""
+    """The larger of both unknown torques while the twin follows, N·m: `SHARE` of the estimates have at most this size. None if there are too few."""
 
     alarms: float
-    """Share of the estimates with an alarm."""
+    """Share of all estimates with an alarm, whatever their status."""
 
     inside: float
-    """Share of the innovations in the held-out part inside their 95 % bands; NaN if there are too few."""
+    """Share of the innovations in the held-out part inside their 95 % bands; NaN if there are none."""
 
     @property
     def fits(self) -> bool:
@@ -84,8 +85,11 @@ class Advice:
 
     @property
     def proposed(self) -> float | None:
-        """Scale to set, N·m: the tried one, if it fits."""
-        return self.tried.scale if self.tried is not None and self.tried.fits else None
+        """Scale to set, N·m: the tried one, if it fits. A run that follows nothing has no alarms, but it has no size and no innovations either."""
+        tried = self.tried
+        if tried is None or tried.size is None or not tried.fits:
+            return None
+        return tried.scale if math.isfinite(self.now.inside) and math.isfinite(tried.inside) else None
 
     def content(self) -> dict[str, Any]:
         tried = None if self.tried is None else self.tried.content()
@@ -126,8 +130,9 @@ def measure(story: Story, scale: float, inside: float) -> Needed:
     time = table["time"]
     begins = np.flatnonzero(np.diff(time, prepend=-np.inf) > LONGEST_GAP)
     since = time - time[begins][np.searchsorted(begins, np.arange(len(time)), side="right") - 1]
-    followed = (table["estimated.status"] == FOLLOWING) & (since >= STARTING)
-    alarms = table["estimated.alarm"][followed]
+    started = since >= STARTING
+    followed = (table["estimated.status"] == FOLLOWING) & started
+    alarms = table["estimated.alarm"][started]
     torque = np.max(np.abs([table[f"estimated.{name}"][followed] for name in TORQUES]), axis=0)
     # Next to a direct singularity, no motor torques are equivalent to the unknown force, and both outputs are 0.
     known = torque[np.isfinite(torque) & (torque > 0)]

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from fivebar.colours import LEFT, RIGHT
 from fivebar.drawing import ABOVE, FAINT, INK, RUN_COLOURS, STYLE, WRONG, panels, save
+from fivebar.errors import FiveBarError
 from fivebar.library import Library
 from fivebar.twin import figures, held_out, scene, setup, starter, summary, torque_scale
 from fivebar.twin.ahead import Ahead
@@ -143,15 +144,21 @@ def _play(config: Config, library: Library, source: Player, *others: Worker) -> 
 
 
 def _advice(config: Config, library: Library, story: Story, judged: HeldOut) -> Advice:
-    """Measures the unknown torques. If another `estimator.torqueScale` may remove alarms or misses, a second twin follows with it."""
+    """Measures the unknown torques. If another `estimator.torqueScale` may remove alarms or misses, a second twin follows with it.
+
+    An error of the second run is printed; the results of the first one remain."""
     now = _needed(config, library, story, judged)
     if (other := now.to_try()) is None:
         return Advice(now)
     again = replace(config, folder=str(config.path / "again"), twin=config.twin | {torque_scale.NAME: other})
     again.path.mkdir(mode=0o700)
-    _play(again, library, Player(again))
-    tried = figures.read(again.record)
-    return Advice(now, _needed(again, library, tried, held_out.judge(again, tried)))
+    try:
+        _play(again, library, Player(again))
+        tried = figures.read(again.record)
+        return Advice(now, _needed(again, library, tried, held_out.judge(again, tried)))
+    except FiveBarError as error:
+        print(f"the second run, with {torque_scale.NAME} = {other:g}, failed: {error}")
+        return Advice(now)
 
 
 def _needed(config: Config, library: Library, story: Story, judged: HeldOut) -> Needed:
@@ -174,7 +181,7 @@ def _write(out: Path, content: dict[str, Any], judged: HeldOut) -> list[Path]:
         page.write_text(
             summary.page_of(
                 f"{content['scene']}: the twin judged by a recording",
-                f"{content['description']} {content['unknown_torque']['advice']}".strip(),
+                [content["description"], content["unknown_torque"]["advice"]],
                 _cards(content),
                 pictures,
                 content,
