@@ -48,6 +48,18 @@ def started(run: "subprocess.Popen[str]") -> str:
     raise AssertionError("".join(lines))
 
 
+def settle(driver: Any) -> None:
+    """Prepares a shared browser for the next test: resets screen, colours and processor, and leaves the page. The console is checked last, so
+    that a failed test does not affect the next."""
+    problems = driver.get_log("browser")
+    driver.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 1})
+    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    # A page in the background would go on drawing.
+    driver.get("about:blank")
+    assert problems == []
+
+
 @pytest.fixture(autouse=True)
 def working_directory() -> Iterator[None]:
     """Each test leaves the working directory as it was."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from browser import open_browser
-from conftest import wait_until
+from conftest import settle, wait_until
 from fivebar import simulate
 from made_scene import made_scene, write
 
@@ -30,12 +30,10 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 def opened(driver: Any, page: Path) -> Iterator[Any]:
-    """The browser with a page newly opened; at the end the console has no warnings, and screen and colours are the browser's own again."""
+    """The browser with a page newly opened; at the end the console has no warnings, and the browser is as before."""
     driver.get(page.as_uri())
     yield driver
-    assert driver.get_log("browser") == []
-    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    settle(driver)
 
 
 @pytest.fixture

@@ -242,7 +242,12 @@ ALMOST_ALIKE = [{"link[2].length": 0.3, "link[3].length": 0.3 + more} for more i
     ],
 )
 @pytest.mark.parametrize("working", WORKING_MODES[:3])
-def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bool], working: Working) -> None:
+@pytest.mark.parametrize(
+    ("drawn", "lines", "least"), [(1000, 60, 5), pytest.param(4000, 100, 10, marks=pytest.mark.nightly)]
+)
+def test_lines_are_blocked_where_they_meet_a_border(
+    values: dict[str, float | bool], working: Working, drawn: int, lines: int, least: int
+) -> None:
     """Random lines are compared with dense sampling: free lines cross no border; blocked ones are free up to the reported place, and not behind it."""
     made = table(values)
     machine = Machine.from_scene(made)
@@ -254,8 +259,8 @@ def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bo
         posture, reached = machine.field(places, working)
         return np.where(reached & (stop_margin(made, posture.motors) >= 0), np.sign(sines(posture.theta)[..., 0]), 0)
 
-    places = random.uniform((-0.3, -0.4), (0.4, 0.4), (1000, 2))
-    for begin in places[side(places) != 0][:60]:
+    places = random.uniform((-0.3, -0.4), (0.4, 0.4), (drawn, 2))
+    for begin in places[side(places) != 0][:lines]:
         end = begin + random.uniform(-0.15, 0.15, 2)
         sequence = [Piece(line(tuple(begin), tuple(end)), 1, True)]
         shares = np.linspace(0, 1, 4001)[:, None]
@@ -272,7 +277,8 @@ def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bo
         else:
             outcomes["free"] += 1
             assert not len(crossed)
-    assert min(outcomes.values()) > 5
+    # Both outcomes are tested, each by about a tenth of the lines or more.
+    assert sum(outcomes.values()) == lines and min(outcomes.values()) > least, outcomes
 
 
 @pytest.mark.parametrize(

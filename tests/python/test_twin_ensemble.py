@@ -119,7 +119,7 @@ def test_a_killed_worker_loses_nothing(
     killed: list[int] = []
 
     def kill(done: int) -> None:
-        if not killed:
+        if done >= MEMBERS // 3 and not killed:
             ids = list(workers.client.run(os.getpid).values()) if kind == "cluster" else list(workers.pool._processes)
             killed.append(ids[0])
             os.kill(killed[0], signal.SIGKILL)

@@ -354,7 +354,10 @@ def fill(monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
 
 
 @pytest.mark.parametrize("waiting", [MOST_WAITING, 100])
+@pytest.mark.parametrize(("samples", "least"), [(800, 350), pytest.param(1600, 900, marks=pytest.mark.nightly)])
 def test_a_full_disk_ends_nothing(
+    samples: int,
+    least: int,
     waiting: int,
     config: Config,
     library: Library,
@@ -369,14 +372,14 @@ def test_a_full_disk_ends_nothing(
     twin, recorder = Twin(config, library), Recorder(config)
     recorder.about = twin.setup.to_message(config.unit, BEGIN)
     wire, source = Wire(config, twin, recorder), machine(config, library)
-    for seq in range(800):
-        disk["full"] = 200 <= seq < 400
+    for seq in range(samples):
+        disk["full"] = samples // 4 <= seq < samples // 2
         wire.send("meas", encode(source.next()))
         if seq % 20 == 19:
             wire.tick()
     wire.end()
     source.close()
-    assert twin.counts["estimated"] == 800, "estimates continue"
+    assert twin.counts["estimated"] == samples, "estimates continue"
     printed = capsys.readouterr().out.splitlines()
     assert (
         len(printed) == 2
@@ -390,12 +393,15 @@ def test_a_full_disk_ends_nothing(
     result = replay(recorder.folder, fmu)
     assert not result.differing
     if waiting == MOST_WAITING:
-        assert printed[1] == "recording again; nothing is lost" and not content["gaps"] and result.compared == 800
+        assert printed[1] == "recording again; nothing is lost" and not content["gaps"] and result.compared == samples
         return
     lost = {gap["of"]: gap for gap in content["gaps"]}
     assert set(lost) == {"meas", "est"} and all(gap["why"] == "No space left on device" for gap in lost.values())
-    assert 100 < lost["est"]["last"] - lost["est"]["first"] < 200 and f"est {lost['est']['first']} to" in printed[1]
-    assert any("No space left on device" in gap for gap in result.gaps) and result.compared > 350
+    full = samples // 4
+    assert full - 100 < lost["est"]["last"] - lost["est"]["first"] < full
+    assert f"est {lost['est']['first']} to" in printed[1]
+    # After the gap the replay begins at the next stored state, up to 200 samples later: about `samples - full - 200` or more are compared.
+    assert any("No space left on device" in gap for gap in result.gaps) and result.compared > least
 
 
 @pytest.mark.nightly
