@@ -415,6 +415,8 @@ def test_a_torque_scale_is_proposed_that_ends_false_alarms(
     printed, page = capsys.readouterr().out, (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert line in found["advice"] and found["advice"] in printed
     assert f"{html.escape(found['advice'])}</p>" in page
+    if kp == 1.5:
+        assert found["advice"] in (REPOSITORY / "docs" / "validation.md").read_text(encoding="utf-8")
     _, content = judge(gripped, believed | json.loads(f"{{{line}}}"))
     again = content["unknown_torque"]
     assert content["alarms"] == 0 and content["held_out"]["innovations"]["coverage95"] >= 0.9

@@ -184,12 +184,13 @@ fn dissipated_energy_is_never_taken_back() {
 }
 
 /// Every effect with all lengths: each run that completes with OK ends where a program without the library's code ends. The short form takes
-/// six of the effects, and the scene with all effects and friction that sticks (13); each of the lengths is among them.
+/// six of the effects, and the scene with all effects (12); each of the lengths is among them. With friction that sticks (13), that scene takes
+/// 40 s.
 #[test]
 fn machines_with_coaxial_motors_stay_on_their_branch() {
     let complaints = Mutex::new(Vec::new());
     let note = |complaint: &str| complaints.lock().expect("no panic").push(complaint.to_owned());
-    let scenes = if is_nightly() { Vec::from_iter(0..14) } else { vec![4, 6, 7, 8, 9, 11, 13] };
+    let scenes = if is_nightly() { Vec::from_iter(0..14) } else { vec![4, 6, 7, 8, 9, 11, 12] };
     let rows = coaxial::measure(&scenes, note);
     let complaints = complaints.into_inner().expect("no panic").join("\n");
     assert_eq!(rows.len(), scenes.len() + 6 + 1);
