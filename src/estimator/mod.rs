@@ -417,11 +417,14 @@ impl Estimator {
     ) {
         let encoders = [&self.encoders[i], &self.encoders[1 - i]];
         let start = || {
-            let mut by_hold = Error::zeros();
-            by_hold
-                .fixed_rows_mut::<2>(FORCE)
-                .copy_from(&(frame.basis.row(MEASURED[i]).transpose() * (LARGEST_HOLD * torque_scale)));
-            (self.filter.without_parameters(errors), self.filter.belief.tangent_force(frame).norm(), by_hold)
+            let mut hold = Error::zeros();
+            let on_axis = frame.basis.row(MEASURED[i]).transpose();
+            hold.fixed_rows_mut::<2>(FORCE).copy_from(&(on_axis * (LARGEST_HOLD * torque_scale)));
+            unaided::Start {
+                bank: self.filter.without_parameters(errors),
+                force: self.filter.belief.tangent_force(frame).norm(),
+                hold,
+            }
         };
         self.unaided[i].receive(encoders, start, models);
     }

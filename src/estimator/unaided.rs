@@ -36,23 +36,27 @@ pub(super) struct Unaided {
     settled: bool,
 }
 
+/// What the estimate knows when a reading first repeats.
+pub(super) struct Start {
+    /// Errors of the estimate.
+    pub(super) bank: Bank,
+    /// Size of the unknown force, N·m.
+    pub(super) force: f64,
+    /// Error that is the torque which may hold the axis.
+    pub(super) hold: Error,
+}
+
 impl Unaided {
     /// Starts at the first repeated reading of an encoder, before this sample corrects the estimate. Ends when the reading changes, or when
-    /// the other encoder fails after its reading has changed. `start` returns the errors of the estimate, the size of the unknown force,
-    /// N·m, and the torque that may hold the axis as an error; `models` are the prior probabilities of the estimate's models.
-    pub(super) fn receive(
-        &mut self,
-        [own, other]: [&Encoder; 2],
-        start: impl FnOnce() -> (Bank, f64, Error),
-        models: &[f64; MODELS],
-    ) {
+    /// the other encoder fails after its reading has changed. `models` are the prior probabilities of the estimate's models.
+    pub(super) fn receive(&mut self, [own, other]: [&Encoder; 2], start: impl FnOnce() -> Start, models: &[f64; MODELS]) {
         if !own.repeats() || other.fails() && self.other_changed {
             self.bank = None;
         } else if self.bank.is_none() && own.fault != Fault::Stuck && !other.fails() {
-            let (mut bank, force, by_hold) = start();
+            let Start { mut bank, force, hold } = start();
             bank.reset_priors(models);
             let settled = own.is_settled();
-            *self = Self { bank: Some(bank), time: 0.0, force, by_hold, doubted: false, other_changed: false, settled };
+            *self = Self { bank: Some(bank), time: 0.0, force, by_hold: hold, doubted: false, other_changed: false, settled };
         }
     }
 
