@@ -285,17 +285,22 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     // Predictor (19), then Newton's method (9) and its fallbacks.
     let mut step = Step::predict(state, h, constraint_tolerance(&settings, system.length_scale(), h));
     let mut retried = false;
-    let pose = loop {
-        match newton::solve(system, &settings, &mut step, &mut state.counters) {
-            Ok(pose) => break pose,
+    let mut pose = system.pose(&step.q());
+    loop {
+        match newton::solve(system, &settings, &mut step, &mut pose, &mut state.counters) {
+            Ok(()) => break,
             // Stiff friction may keep rates constant that the predicted accelerations would change, so constant rates are tried.
-            Err(_) if controls_rates(&settings, system) && !retried => (step, retried) = (step.with_constant_rates(state), true),
+            Err(_) if controls_rates(&settings, system) && !retried => {
+                (step, retried) = (step.with_constant_rates(state), true);
+                pose = system.pose(&step.q());
+            }
             Err(error) => {
                 step = step.without_jerk(state);
-                break line_search::solve(&system.general(), settings, &mut step, &mut state.counters).ok_or(error)?;
+                line_search::solve(&system.general(), settings, &mut step, &mut pose, &mut state.counters).ok_or(error)?;
+                break;
             }
         }
-    };
+    }
 
     // Projection of the velocity (15), then acceleration and multipliers from equilibrium (16). One factorisation serves both.
     let (q, v) = (step.q(), step.velocity());

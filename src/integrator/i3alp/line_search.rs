@@ -26,18 +26,19 @@ const SUFFICIENT_DECREASE: f64 = 1e-4;
 /// Slope, relative to P, below which the decrease is lost in the round-off of P.
 const FLAT: f64 = 1e-12;
 
-/// Finds δ and λ. Returns the pose at the end of the step, if there is one. Only for systems with forces that have a potential.
+/// Finds δ and λ, and the pose at the end of the step, if there is one. Only for systems with forces that have a potential.
 #[cold]
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: Settings,
     step: &mut Step<N, M>,
+    pose: &mut S::Pose,
     counters: &mut Counters,
-) -> Option<S::Pose> {
+) -> Option<()> {
     let mut q = step.q();
-    let mut pose = system.pose(&q);
-    system.potential(&q, &pose)?;
-    let heaviest = system.mass_times(&pose, &Vector::from([1.0; N])).max_norm();
+    *pose = system.pose(&q);
+    system.potential(&q, pose)?;
+    let heaviest = system.mass_times(pose, &Vector::from([1.0; N])).max_norm();
     let regularization = settings.regularization.max(1.0 / (PENALTY * heaviest));
     let (beta, alpha) = (step.beta, 1.0 / (regularization * step.beta));
     let merit = |step: &Step<N, M>, delta: Vector<N>| {
@@ -53,14 +54,14 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     let mut convergence = Convergence::new(step.tolerance, 0.0, LAST_CORRECTION);
     for _ in 0..MOST_ITERATIONS {
         counters.iterations += 1;
-        let phi = system.phi(&q, &pose);
+        let phi = system.phi(&q, pose);
         let v = step.velocity();
-        let b = beta * system.forces(&q, &pose, &v).0 - system.mass_times(&pose, &step.acceleration());
+        let b = beta * system.forces(&q, pose, &v).0 - system.mass_times(pose, &step.acceleration());
         let c = -phi - regularization * beta * step.lambda;
         let total = step.lambda + alpha * phi;
-        let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &total, h: step.h };
+        let at = TangentPoint { q: &q, pose, v: &v, lambda: &total, h: step.h };
         let (direction, y) = system.solve_descent(&at, regularization, &b, &c)?;
-        let joint_forces = system.phi_q_transposed_times(&pose, &total);
+        let joint_forces = system.phi_q_transposed_times(pose, &total);
         let slope = (joint_forces - b / beta).dot(&direction);
         let start = merit(step, step.delta)?;
 
@@ -79,12 +80,12 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
             step.lambda = y / beta;
         }
         q = step.q();
-        pose = system.pose(&q);
+        *pose = system.pose(&q);
         // Only a full step reveals how near the root is.
         convergence.corrected(if part == 1.0 { direction.max_norm() } else { f64::INFINITY });
-        if convergence.is_met(system.phi(&q, &pose).max_norm()) {
+        if convergence.is_met(system.phi(&q, pose).max_norm()) {
             counters.rescued += 1;
-            return Some(pose);
+            return Some(());
         }
     }
     None

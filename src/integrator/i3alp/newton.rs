@@ -77,26 +77,26 @@ impl<const N: usize, const M: usize> Step<N, M> {
     }
 }
 
-/// Newton's method on δ and λ: each iteration solves the saddle-point system (9) at the last iterate, until (17) is satisfied. Returns the
-/// pose at the end of the step.
+/// Newton's method on δ and λ: each iteration solves the saddle-point system (9) at the last iterate, until (17) is satisfied. `pose` is the
+/// pose at the step's q, at first of the guess and then of the end: a returned pose would be copied.
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     step: &mut Step<N, M>,
+    pose: &mut S::Pose,
     counters: &mut Counters,
-) -> Result<S::Pose, StepError> {
+) -> Result<(), StepError> {
     let &Settings { regularization, max_iterations, .. } = settings;
     let beta = step.beta;
     let mut convergence = Convergence::new(step.tolerance, system.length_scale(), LAST_CORRECTION);
     let mut held = None;
     loop {
         let q = step.q();
-        let pose = system.pose(&q);
-        let phi = system.phi(&q, &pose);
+        let phi = system.phi(&q, pose);
         // Before the first iteration the correction is infinite.
         let met = convergence.is_met(phi.max_norm());
-        if met && (!controls_rates(settings, system) || rates_converged(system, settings, step, held, (&q, &pose))) {
-            return Ok(pose);
+        if met && (!controls_rates(settings, system) || rates_converged(system, settings, step, held, (&q, pose))) {
+            return Ok(());
         }
         if convergence.iterations >= max_iterations {
             return Err(convergence.failure());
@@ -104,9 +104,9 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         counters.iterations += 1;
         let v = step.velocity();
         // Right-hand side of (9), then its solution: the correction Δq and y = β λ.
-        let b = beta * system.forces(&q, &pose, &v).0 - system.mass_times(&pose, &step.acceleration());
+        let b = beta * system.forces(&q, pose, &v).0 - system.mass_times(pose, &step.acceleration());
         let c = -regularization * beta * step.lambda - phi;
-        let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
+        let at = TangentPoint { q: &q, pose, v: &v, lambda: &step.lambda, h: step.h };
         let (mut correction, mut y) = system.solve_tangent(&at, regularization, &b, &c)?;
         if system.stuck() != Stuck::Nothing {
             let (found, force) = keep_sticking(system, regularization, &at, (correction, y))?;
@@ -114,6 +114,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         }
         step.lambda = y / beta;
         step.delta += correction;
+        *pose = system.pose(&step.q());
         convergence.corrected(correction.max_norm());
     }
 }
