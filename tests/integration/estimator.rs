@@ -690,6 +690,66 @@ fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
     }
 }
 
+/// Errors of forecasts of 0.1 s in which an axis turns back, rad: root mean square and largest. A machine with dry friction of a third of
+/// the torque scale swings by soft servos and by torques that the estimate does not know; the estimate has `friction` times its friction.
+/// The estimate takes readings in steps of 0.4 mrad at 500 Hz as intervals, or as readings with equal white noise.
+fn forecasts_at_turns(friction: f64, intervals: bool) -> [f64; 2] {
+    let (h, quantum, ahead) = (2e-3, 4e-4, 50);
+    let mut parameters = swinging_parameters(quantum);
+    let by_factor = |factor: f64, mut parameters: Parameters| {
+        let dry = &mut parameters.effects.friction;
+        (dry.enabled, dry.coulomb, dry.breakaway) = (true, [5e-3 * factor; 5], [6e-3 * factor; 5]);
+        parameters
+    };
+    let mut machine = Simulation::new(&by_factor(1.0, parameters.clone()), &swing_course(0.0)).expect("a machine");
+    if !intervals {
+        (parameters.estimator.sigma, parameters.estimator.quantum) = ([quantum / 12_f64.sqrt(); 2], [0.0; 2]);
+    }
+    let mut following = Following::new(&by_factor(friction, parameters), &swing_course(0.0)).expect("a scene");
+    let axes = |machine: &Simulation| {
+        let (theta, omega) = motion(machine);
+        [(theta[0], omega[0]), (theta[3], omega[3])]
+    };
+    // Step at the end, rates at the begin, and the predicted motion.
+    let mut forecasts: Vec<(i32, [f64; 2], LinkState)> = Vec::new();
+    let mut errors = Vec::new();
+    for step in 0..2050 {
+        let time = f64::from(step) * h;
+        let at = |after: i32| swing_course(time + h * (f64::from(after) + 0.5));
+        let now = axes(&machine);
+        for (_, before, predicted) in forecasts.iter().filter(|(end, ..)| *end == step) {
+            let turned = (0..2).filter(|i| before[*i] * now[*i].1 < 0.0);
+            errors.extend(turned.map(|i| (predicted.theta[MEASURED[i]] - now[i].0).abs()));
+        }
+        let theta = now.map(|(angle, _)| (angle / quantum).round() * quantum);
+        following.correct(&Measured { theta, time: [time; 2] }, time);
+        if step > 250 && step % 2 == 0 && (2.0 * time).cos().abs() < 0.2 {
+            let mut forecast = following.clone();
+            for after in 0..ahead {
+                forecast.advance_along(&Signal::held(at(after)), h, 1).expect("a forecast");
+            }
+            forecasts.push((step + ahead, now.map(|(_, rate)| rate), forecast.motion()));
+        }
+        following.advance_along(&Signal::held(at(0)), h, 1).expect("a step");
+        let unknown = 0.05 * (3.0 * time).sin();
+        machine.advance(&Inputs { tau: [unknown, -unknown], ..at(0) }, h, 1).expect("a step");
+    }
+    assert!(errors.len() >= 80, "only {} turns in forecasts", errors.len());
+    let square: f64 = errors.iter().map(|error| error * error).sum();
+    [(square / errors.len() as f64).sqrt(), errors.into_iter().fold(0.0, f64::max)]
+}
+
+/// Forecasts over turning points of a machine with dry friction are as good by intervals as by white noise, although the friction is 20 %
+/// off. Measured: 0.5 mrad (rms) and 0.9 mrad (largest) by intervals, 3 and 34 mrad by white noise. The limit is five steps of the encoder.
+#[test]
+fn intervals_foretell_turns_with_dry_friction() {
+    for friction in [0.8, 1.2] {
+        let [intervals, white] = [true, false].map(|intervals| forecasts_at_turns(friction, intervals));
+        assert!((0..2).all(|k| intervals[k] <= white[k]), "{friction}: {intervals:?} rad, by white noise {white:?}");
+        assert!(intervals[1] < 2e-3, "{friction}: {intervals:?} rad");
+    }
+}
+
 /// Encoders are exchanged from the start while servos swing axes that are at least 0.4 rad apart: both are left out from the first sample
 /// on, and the servos' model keeps the tip within 10 mm. After correct wiring they are trusted after a second of silence.
 #[test]
