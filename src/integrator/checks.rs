@@ -128,13 +128,16 @@ pub fn count_breaches<const N: usize, const M: usize>(
     Ok(())
 }
 
-/// Refuses an imbalance `off`, J, that exceeds the admissible imbalance by more than round-off.
+/// Refuses an imbalance `off`, J, that exceeds the admissible imbalance by more than round-off, and an energy that is not finite.
 #[cold]
 #[inline(never)]
 fn check_imbalance<const N: usize>(to: &Checked<'_, N>, off: f64, admissible: f64) -> Result<(), StepError> {
     let sizes = to.energy.abs() + to.work.input.abs() + to.work.dissipated.abs();
     let admissible = admissible + ROUND_OFF * f64::EPSILON * sizes;
-    if off.abs() <= admissible { Ok(()) } else { Err(StepError::Imbalance { off, admissible }) }
+    if off.abs() <= admissible {
+        return Ok(());
+    }
+    Err(if off.is_finite() && admissible.is_finite() { StepError::Imbalance { off, admissible } } else { StepError::NotFinite })
 }
 
 /// Refuses `changed` signs, one bit each, if the posture is farther from their singularity than it can have moved in `h` seconds, judged by

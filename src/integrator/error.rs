@@ -105,7 +105,7 @@ impl fmt::Display for StepError {
                 "the motion left its branch of the closure (motors coaxial, links equal in pairs), which a machine cannot do: solver.method \
                  automatic keeps the branch",
             ),
-            Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
+            Self::NotFinite => f.write_str("a coordinate, velocity, acceleration or energy is not finite"),
             Self::StepTooShort { substep, error } => {
                 write!(f, "a sub-step of only {substep:.3e} s still {}", LocalError(*error))
             }

@@ -225,6 +225,22 @@ fn a_five_bar_that_loses_energy_is_stopped() {
     }
 }
 
+/// A torque of 1e300 N·m leaves no finite energy. Each method says so, or stops for another reason, and no message has a NaN.
+#[test]
+fn an_energy_that_is_not_finite_is_named() {
+    for &method in Method::LIST {
+        let mut simulation = falling(method, true);
+        let mut inputs = default_inputs();
+        inputs.tau[0] = 1e300;
+        if let Err(failure) = simulation.advance(&inputs, 1e-3, 100) {
+            assert!(!failure.to_string().contains("NaN"), "{method:?}: {failure}");
+        } else {
+            let core = simulation.state().core;
+            assert!(core.q.is_finite() && core.v.is_finite(), "{method:?}");
+        }
+    }
+}
+
 /// Without checks the state stores no energy, and the motion has the same bits.
 #[test]
 fn checks_change_no_motion() {
