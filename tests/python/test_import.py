@@ -513,6 +513,21 @@ def test_a_wrong_map_is_refused(
     assert not (tmp_path / "record.csv").exists()
 
 
+@pytest.mark.parametrize("spelling", ["raw.csv", "folder/../raw.csv", "link.csv", "hard.csv"])
+def test_an_input_file_is_never_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str], spelling: str) -> None:
+    """The recording has columns that the record does not have."""
+    first = write_csv(tmp_path / "first.csv", "time,theta[1]", GRID, LEFT)
+    raw = write_csv(tmp_path / "raw.csv", "time,theta[1],temperature", GRID, LEFT, RIGHT)
+    before = raw.read_bytes()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link.csv").symlink_to(raw)
+    os.link(raw, tmp_path / "hard.csv")
+    record = tmp_path / spelling
+    assert main(["import", str(first), str(raw), "-o", str(record)]) == 2
+    sentence = f"the record {record} is the input file {raw}, which it would replace; another name is needed"
+    assert capsys.readouterr().err == f"fivebar import: {sentence}\n" and raw.read_bytes() == before
+
+
 def test_unreadable_recordings_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each error is one sentence and lists what the file has."""
     file = write_csv(tmp_path / "a.csv", "time,q [deg],r [inch]", GRID, LEFT, RIGHT)

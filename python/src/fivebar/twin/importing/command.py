@@ -17,6 +17,11 @@ def run(files: Sequence[Path], map_file: Path | None, scene: str | None, record:
     """Writes the record, prints its content and, with a scene, a proposed map; returns 0."""
     if record.suffix.lower() != ".csv":
         raise FiveBarError(f"the record is {record}; a name that ends in .csv is needed")
+    for file in (*files, *([map_file] if map_file else [])):
+        if file.exists() and record.exists() and record.samefile(file):
+            raise FiveBarError(
+                f"the record {record} is the input file {file}, which it would replace; another name is needed"
+            )
     given = maps.read(map_file) if map_file else maps.Map()
     found, used = assemble.recorded(files, given)
     figures = (quality.measure(found), quality.changes(found))
