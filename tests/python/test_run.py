@@ -23,6 +23,7 @@ import fivebar
 from conftest import REPOSITORY
 from fivebar import scene as scene_of
 from fivebar import summary
+from fivebar.commands import main
 from fivebar.drive import Run
 from fivebar.errors import FiveBarError
 from fivebar.kinematics import Machine
@@ -204,14 +205,36 @@ def test_an_earlier_run_leaves_nothing(fmu: Path, tmp_path: Path, done: Done) ->
     """A run removes files of an earlier run of the scene and no others; inside the current directory, printed paths are relative."""
     out = shutil.copytree(done[0], tmp_path / "out")
     own = {file.name for file in out.iterdir()}
-    for foreign in ("notes.csv", "shorter.csv", "my.png", "short.txt"):
-        (out / foreign).write_text("mine")
+    foreign = {"notes.csv", "shorter.csv", "my.png", "short.txt", "short.notes.csv"}
+    for name in foreign:
+        (out / name).write_text("mine")
     again = run(fmu, tmp_path, made_scene(PUSH | {"gravity.enabled": False}, 0.1))
     assert again.returncode == 0, again.stderr
     left = {file.name for file in out.iterdir()}
-    assert left == own - {"short.rk4-fine.csv", "difference.png"} | {"notes.csv", "shorter.csv", "my.png", "short.txt"}
+    assert left == own - {"short.rk4-fine.csv", "difference.png"} | foreign
     assert "mgL (g = 9.81 m/s2)" in again.stdout
     assert f"  {Path('out') / 'short.csv'}  (" in again.stdout and str(tmp_path) not in again.stdout
+
+
+@pytest.mark.parametrize("name", ["path.svg", "tip.png", "short.csv", "short.rk4-fine.csv", "short.html"])
+def test_files_of_others_are_neither_replaced_nor_removed(
+    fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """A recording may have the name of its scene. The run is refused before it begins."""
+    scene = write(tmp_path / "short.json", SHORT)
+    mine = tmp_path / "out" / name
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    result = fivebar.run(scene, stop_time=0.01, outputs="tip")
+    sentence = f"{mine} is no file of an earlier run, and this run would replace it; another folder is needed"
+    if name in ("short.csv", "short.html"):
+        with pytest.raises(FiveBarError, match=f"^{re.escape(sentence)}$"):
+            result.save(mine.parent, draw=False)
+    else:
+        # Without pictures and overlays, such a name is free, also beside the page of an earlier run.
+        assert len(result.save(mine.parent, draw=False)) == len(result.save(mine.parent, draw=False)) == 3
+    assert main(["run", str(scene), "--fmu", str(fmu), "--out", str(mine.parent)]) == 2
+    assert capsys.readouterr().err == f"fivebar run: {sentence}\n" and mine.read_text() == "mine"
 
 
 def test_runs_that_diverge() -> None:

@@ -2,10 +2,11 @@
 
 import base64
 import html
+import os
 import re
 import tempfile
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -28,6 +29,15 @@ if TYPE_CHECKING:
 
 ANIMATION = "animation.svg"
 """File name of the animated picture."""
+
+SINGULARITIES = "singularities.csv"
+"""File name of the table of singularities."""
+
+WROTE = re.compile(r"^<!-- fivebar wrote (.+) -->$", re.MULTILINE)
+"""Line at the end of a page for each other file of the run."""
+
+LONGEST_LIST = 65_536
+"""Maximum length of these lines, bytes."""
 
 READ = (
     "tip.x", "tip.y", "tip.v", "theta", "omega", "passive", "elbow", "energy", "singular", "solver", "servo.torque", "contact",
@@ -449,9 +459,10 @@ class Result(dict[str, np.ndarray]):
         show: bool = False,
         progress: Callable[[str], None] = lambda _text: None,
     ) -> list[Path]:
-        """Writes page, tables and pictures to a folder; removes files of earlier runs of the scene there.
+        """Writes page, tables and pictures to a folder; removes files of an earlier run of the scene there.
 
-        The page is written first, since the other files take longer.
+        The page is written first, since the other files take longer. It lists all written files at its end, so that a later run
+        removes and replaces these files only.
 
         Parameters
         ----------
@@ -469,6 +480,11 @@ class Result(dict[str, np.ndarray]):
         list of pathlib.Path
             The files.
 
+        Raises
+        ------
+        FiveBarError
+            If the folder has a file of such a name that no earlier run wrote. Nothing is written then.
+
         Examples
         --------
         >>> import fivebar
@@ -480,20 +496,26 @@ class Result(dict[str, np.ndarray]):
 
         out, name = Path(folder), self.scene.name
         out.mkdir(parents=True, exist_ok=True)
-        _remove_earlier(out, name)
+        labels = [run.label for run in self.runs]
+        check_foreign(out, name, labels, draw)
+        for earlier in _wrote(out / f"{name}.html"):
+            earlier.unlink(missing_ok=True)
         files: list[Path] = []
 
         def begin(file: str) -> Path:
             progress(f"{name}: writing {file}")
             files.append(out / file)
+            if len(files) > 1:
+                with page.open("a", encoding="utf-8", newline="\n") as stream:
+                    stream.write(f"<!-- fivebar wrote {file} -->\n")
             return files[-1]
 
         page = self.animate(begin(f"{name}.html"))
         if show:
             webbrowser.open(page.resolve().as_uri())
-        for i, run in enumerate(self.runs):
-            self._write(begin(f"{name}.csv" if i == 0 else f"{name}.{_slug(run.label)}.csv"), run)
-        singularities.write(begin("singularities.csv"), self.singularities)
+        for file, run in zip(_tables(name, labels), self.runs, strict=True):
+            self._write(begin(file), run)
+        singularities.write(begin(SINGULARITIES), self.singularities)
         if draw:
             pictures.draw_all(begin, self.scene, self.runs, self.singularities)
             if moving_picture.wanted(self.own):
@@ -501,15 +523,33 @@ class Result(dict[str, np.ndarray]):
         return files
 
 
-def _remove_earlier(out: Path, name: str) -> None:
-    """Removes only the files that an earlier run of the scene `name` wrote to `out`."""
+def check_foreign(folder: Path, name: str, labels: Sequence[str], draw: bool) -> None:
+    """Raises FiveBarError if `folder` has a file that runs of the scene `name` with these labels would replace, and no earlier run wrote it."""
     from fivebar import pictures
 
-    own_table = re.compile(re.escape(name) + r"(\.[a-z0-9-]*)?\.csv")
-    fixed = {"singularities.csv", f"{name}.html", ANIMATION, *pictures.FILES}
-    for file in out.iterdir():
-        if file.is_file() and (file.name in fixed or own_table.fullmatch(file.name)):
-            file.unlink()
+    earlier = {file for page in folder.glob("*.html") for file in _wrote(page)}
+    written = [f"{name}.html", *_tables(name, labels), SINGULARITIES, *((*pictures.FILES, ANIMATION) if draw else ())]
+    for file in map(folder.joinpath, written):
+        if file.exists() and file not in earlier:
+            raise FiveBarError(
+                f"{file} is no file of an earlier run, and this run would replace it; another folder is needed"
+            )
+
+
+def _wrote(page: Path) -> set[Path]:
+    """The page of an earlier run and the files that it lists; none for a page of another origin."""
+    if not page.is_file():
+        return set()
+    with page.open("rb") as stream:
+        stream.seek(-min(page.stat().st_size, LONGEST_LIST), os.SEEK_END)
+        listed = WROTE.findall(stream.read().decode("utf-8", "replace"))
+    names = {page.name, *listed} if listed else set()
+    return {file for file in page.parent.iterdir() if file.name in names and file.is_file()}
+
+
+def _tables(name: str, labels: Sequence[str]) -> list[str]:
+    """Names of the tables of runs with these labels."""
+    return [f"{name}.csv", *(f"{name}.{_slug(label)}.csv" for label in labels[1:])]
 
 
 def _slug(label: str) -> str:

@@ -65,6 +65,7 @@ def run(
     from fivebar import simulate
     from fivebar.drive import Progress
     from fivebar.progress import Line
+    from fivebar.result import check_foreign
     from fivebar.variables import of_unit
 
     ready = scenes.read(scene, of_unit(fmu)).replace(
@@ -72,6 +73,7 @@ def run(
     )
     folder = Path(ready.name) if out is None else out
     options.check_folder(folder)
+    check_foreign(folder, ready.name, [variant.label for variant in ready.variants], not no_pictures)
     result = simulate.run(ready, fmu, overlays=True, progress=Progress, outputs=outputs, on_failure="return")
     click.echo(result.summary())
     line = Line()
