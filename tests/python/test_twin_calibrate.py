@@ -26,6 +26,7 @@ from fivebar.scene_file import OFFSETS
 from fivebar.twin import record, recording, setup
 from fivebar.twin import scene as twin_scene
 from fivebar.twin.calibrate import (
+    assumptions,
     calibration,
     data,
     fit,
@@ -340,15 +341,19 @@ def test_stages_report_their_unknowns(
         ("from the left", "gravity.direction seems to be near 3.1 rad: "),
         ("held", "measured.theta[1] stands still within 0.15 mrad: a drive that holds it, or friction, is missing"),
         ("reversed", "tau[2] seems to have the wrong sign: "),
+        ("in mN.m", "the values of tau[1] and tau[2] seem to be in mN.m; N.m is expected: "),
     ],
 )
 def test_wrong_assumptions_are_named_before_the_long_fits(how: str, sentence: str, library: Library) -> None:
     """Masses in the scene are wrong as well. Without these warnings the fit took minutes and identified nothing."""
     names, scene = ["payload.mass", "link[2,3].mass", "viscous.b"], BASE
-    if how == "reversed":
+    if how in ("reversed", "in mN.m"):
         names, scene = names[:2], SINKING
         columns = driven(library, SINKING, 1.2)
-        columns["tau[2]"] *= -1
+        if how == "reversed":
+            columns["tau[2]"] *= -1
+        else:
+            columns |= {name: 1e3 * columns[name] for name in ("tau[1]", "tau[2]")}
     else:
         more = {"weightless": {"gravity.enabled": False}, "from the left": {"gravity.direction": 3.1}}.get(how)
         columns = made(library, names, [1.2, 0.8, 1.2], 2.0 if how == "held" else 1.2, more=more)
@@ -377,6 +382,17 @@ def test_an_axis_at_rest_is_not_blamed_for_the_other_encoder(
     with pytest.raises(TwinError, match=r"^measured.theta\[1\] stands still within 0 mrad: a drive that holds it"):
         fitter.doubt(1, np.array([1e-2, 1e-5]), np.eye(1), [0.1])
     machine.close()
+
+
+@pytest.mark.parametrize(("swing", "stands"), [(0.0, True), (0.05, False)])
+def test_only_an_axis_that_hardly_moves_stands_still(swing: float, stands: bool) -> None:
+    """Swapped encoders and torques in mN.m leave residuals of 0.6 rad, of which motions of 0.1 rad are a small part."""
+    time = 0.005 * np.arange(400)
+    angles = np.column_stack([1.0 + swing * np.sin(5 * time), np.sin(5 * time)])
+    angles += 1e-4 * np.random.default_rng(0).standard_normal(angles.shape)
+    series = data.Samples(time, angles, np.empty((400, 0)), ())
+    sentence = assumptions.held(data.Data([series], []), np.array([0.6, 0.6]))
+    assert sentence.startswith("measured.theta[1] stands still within 0.1") if stands else sentence == ""
 
 
 def test_rough_data(fmu: Path, library: Library, tmp_path: Path) -> None:

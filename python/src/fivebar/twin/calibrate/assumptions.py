@@ -1,4 +1,4 @@
-"""Other assumptions that may explain a record far better than the scene: signs, order of the encoders, gravity, an axis that a drive holds.
+"""Other assumptions that may explain a record far better than the scene: signs, order of the encoders, unit of the torques, gravity, an axis that a drive holds.
 
 They are tried if the fit of the shortest pieces leaves more than noise (`Fitter.doubt`). Each is one change of the scene or of the samples.
 """
@@ -16,6 +16,10 @@ from fivebar.twin.recording import Array
 
 SURE: Final = 0.25
 """Ratio of residuals with another assumption to residuals of the fit, below which the assumption counts as right; both with fitted unknowns."""
+
+
+HELD: Final = 5e-3
+"""Maximum motion of an axis that counts as standing still, rad: a drive or friction that holds an axis leaves some mrad."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +50,15 @@ def others(scene: Values, names: tuple[str, ...]) -> Iterator[Assumption]:
             angles(np.where(np.arange(2) == i, -1.0, 1.0), [0, 1]),
         )
     yield Assumption("the encoders seem to be swapped", {}, angles(np.ones(2), [1, 0]))
-    for name in names:
-        if name.startswith("tau"):
-            factors = np.where(np.array(names) == name, -1.0, 1.0)
-            yield Assumption(f"{name} seems to have the wrong sign", {}, commands(factors))
+    torques = [name for name in names if name.startswith("tau")]
+    for name in torques:
+        factors = np.where(np.array(names) == name, -1.0, 1.0)
+        yield Assumption(f"{name} seems to have the wrong sign", {}, commands(factors))
+    if torques:
+        factors = np.where(np.isin(names, torques), 1e-3, 1.0)
+        yield Assumption(
+            f"the values of {' and '.join(torques)} seem to be in mN.m; N.m is expected", {}, commands(factors)
+        )
     if scene.get("gravity.enabled", True):
         yield Assumption("the record shows no gravity in the plane (gravity.enabled)", {"gravity.enabled": False}, same)
         direction = float(scene.get("gravity.direction", -0.5 * math.pi))
@@ -67,7 +76,7 @@ def held(data: Data, left: Array) -> str:
         still = max(
             float(np.nanquantile(np.abs(s.angles[:, i] - np.nanmedian(s.angles[:, i])), 0.9)) for s in data.series
         )
-        if still < SURE * left[i]:
+        if still < min(HELD, SURE * left[i]):
             return (
                 f"measured.theta[{i + 1}] stands still within {1e3 * still:.2g} mrad: a drive that holds it, or friction, is missing in the scene "
                 "(servo.enabled) or in the record (servo.theta)"
