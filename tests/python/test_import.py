@@ -480,6 +480,7 @@ def test_a_guess_needs_both_encoders(tmp_path: Path, capsys: pytest.CaptureFixtu
     [
         ("[]", "a map must be an object of variables and their columns"),
         ('{"theta[3]": {}}', "'theta[3]' is not a variable of a recording; did you mean"),
+        ('{"theta[1]": {"column": "q"}}', "'theta[1]' is not a variable of a recording; did you mean 'measured.theta[1]'?"),
         ('{"tau[1]": {"column": "i"}}', "it has neither measured.theta[1] nor measured.theta[2]"),
         ('{"measured.theta[1]": "q"}', "'measured.theta[1]' must be an object such as {\"column\": \"q1\"}, not \"q\""),
         ('{"measured.theta[1]": {}}', "'measured.theta[1].column' must be the name of a column, or its number from 1 on, not null"),

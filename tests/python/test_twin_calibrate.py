@@ -202,7 +202,7 @@ def test_the_function_finds_what_the_command_finds(
         ({"time": None}, {}, "the record has no column time (s); it has measured.theta[1], measured.theta[2], servo.theta[1], "),
         ({"time": [0.0, 1.0]}, {}, "the record has 2 values of time but "),
         ({"measured.theta[1]": ["a", "b"]}, {}, "the record: measured.theta[1] must be a column of numbers, not ["),
-        ({"measured.theta[1]": None, "measured.theta[2]": None}, {}, "the record has no number in measured.theta[1] or measured.theta[2]"),
+        ({"measured.theta[1]": None, "measured.theta[2]": None}, {}, "the record has no column measured.theta[1] or measured.theta[2]; its columns are time, servo."),
         ({}, {"commands": "cubic"}, "commands are 'cubic'; one of rate, linear, hold is needed"),
         ({}, {"patience": 0}, "patience is 0; more than 0 is needed"),
         ({}, {"seconds": math.nan}, "seconds is nan; more than 0 is needed"),

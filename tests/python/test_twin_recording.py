@@ -1,6 +1,8 @@
 """Recordings: one reader for calibration and twin, clocks that restart, units, playback."""
 
 import math
+import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 
 from fivebar import simulate
 from fivebar import table as tables
+from fivebar.errors import MachineWarning
 from fivebar.library import Library
 from fivebar.own_unit import write_unit
 from fivebar.scene import Scene, Variant
@@ -74,7 +77,10 @@ def test_rows_without_a_time_of_their_own_are_left_out(tmp_path: Path) -> None:
             "has no column time (s); its head is theta[1], theta[2], t; commas, semicolons or tabs",
         ),
         ("time theta[1] theta[2],a,b", "has no column time (s)"),
-        ("time,angle1,angle2", "has no number in measured.theta[1] or measured.theta[2]"),
+        (
+            "time,angle1,angle2",
+            "has no column measured.theta[1] or measured.theta[2]; its columns are time, angle1, angle2; `fivebar import --map` reads columns",
+        ),
     ],
 )
 def test_a_head_that_does_not_fit_is_refused(tmp_path: Path, head: str, sentence: str) -> None:
@@ -102,6 +108,34 @@ def test_a_table_without_samples_is_refused(tmp_path: Path, rows: str, sentence:
         with pytest.raises(TwinError) as refused:
             reads(tmp_path / "a.csv")
         assert sentence in str(refused.value)
+
+
+def test_a_missing_encoder_is_named(tmp_path: Path) -> None:
+    file = table(tmp_path, GRID, "time,theta[1],measured.theta[2] (deg)")
+    sentence = f"{file} has no number in measured.theta[2], and a calibration needs both encoders; columns that are not used: measured.theta[2] (deg)"
+    with pytest.warns(MachineWarning), pytest.raises(TwinError, match=f"^{re.escape(sentence)}$"):
+        data.read(file, 0.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("other", "name"),
+    [
+        ("tau1", "tau[1]"),
+        ("Tau_1 (mNm)", "tau[1]"),
+        ("theta2", "measured.theta[2]"),
+        ("measured.theta[2] (deg)", "measured.theta[2]"),
+        ("servo.theta 1", "servo.theta[1]"),
+        ("current", None),
+        ("theta1", None),
+    ],
+)
+def test_a_column_that_is_probably_misspelt_is_warned_of(other: str, name: str | None) -> None:
+    """The record has an angle of encoder 1."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording.of_columns({"time": GRID, "theta[1]": GRID, other: GRID})
+    sentence = f"the record: the column {other} is not used, and there is no {name}: is this column meant?"
+    assert [str(each.message) for each in caught] == ([sentence] if name else [])
 
 
 def test_units_may_stand_in_the_head(tmp_path: Path) -> None:

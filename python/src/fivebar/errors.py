@@ -36,4 +36,4 @@ class StepFailed(UnitError):
 
 
 class MachineWarning(UserWarning):
-    """A scene describes a machine that cannot exist. The command prints the message and continues."""
+    """A scene describes a machine that cannot exist, or a column of a record is probably misspelt. The command prints the message and continues."""

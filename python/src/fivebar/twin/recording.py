@@ -4,6 +4,7 @@
 was restarted: the following samples are another series, and `time` appends the series to each other.
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fivebar import table
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, MachineWarning
 from fivebar.twin import units
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED
@@ -139,8 +140,23 @@ def _of_table(source: str | Path, columns: dict[str, Array], unused: Sequence[st
         angle = columns.pop(other, None)
         if angle is not None:
             columns.setdefault(name, angle)
-    if not any(np.isfinite(columns[name]).any() for name in MEASURED if name in columns):
+    encoders = [columns[name] for name in MEASURED if name in columns]
+    if not encoders:
+        raise TwinError(
+            f"{source} has no column {MEASURED[0]} or {MEASURED[1]}; its columns are {', '.join([TIME, *columns, *unused])[:200]}; "
+            "`fivebar import --map` reads columns of other names"
+        )
+    if not any(np.isfinite(column).any() for column in encoders):
         raise TwinError(f"{source} has no number in {MEASURED[0]} or {MEASURED[1]}")
+    meant = {_letters(name): TRUE.get(name, name) for name in COLUMNS}
+    for other in unused:
+        name = meant.get(_letters(other))
+        if name is not None and name not in columns:
+            warnings.warn(
+                f"{source}: the column {other} is not used, and there is no {name}: is this column meant?",
+                MachineWarning,
+                stacklevel=2,
+            )
     listed = [*unused[:SHOWN], *([f"{len(unused) - SHOWN} more"] if len(unused) > SHOWN else [])]
     return of(source, clock, columns, [f"columns that are not used: {', '.join(listed)}"] if listed else [])
 
@@ -197,6 +213,11 @@ def _stays(column: Array) -> Array:
 
 def _unit(name: str) -> str:
     return next(unit for last, unit in UNITS.items() if name.partition("[")[0].endswith(last))
+
+
+def _letters(name: str) -> str:
+    """Letters and digits of a column's name without a unit in parentheses: alike for `tau[1]` and `tau_1`."""
+    return "".join(c for c in name.lower().partition(" (")[0] if c.isalnum())
 
 
 def _plain(unit: str) -> str:

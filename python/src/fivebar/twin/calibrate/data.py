@@ -92,6 +92,10 @@ def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
         given = recording.of_columns(source)
     else:
         given = of_record(source, unit) if record.is_record(source) else recording.read(source)
+    for name in MEASURED:
+        if not np.isfinite(given.columns.get(name, np.nan)).any():
+            more = "".join(f"; {note}" for note in given.notes)
+            raise TwinError(f"{given.source} has no number in {name}, and a calibration needs both encoders{more}")
     first, last = np.searchsorted(given.time, begin), np.searchsorted(given.time, begin + seconds, side="right")
     if first == last:
         raise TwinError(

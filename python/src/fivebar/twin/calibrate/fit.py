@@ -706,7 +706,7 @@ def guess(samples: Samples) -> Array:
         known = np.flatnonzero(np.isfinite(samples.angles[:, i]))[:9]
         if len(known) < 3:
             raise TwinError(
-                f"a series has {len(known)} angles of encoder {i + 1}; both encoders are needed at the start"
+                f"a series has {len(known)} samples of measured.theta[{i + 1}]; its start needs 3 or more of both encoders"
             )
         time, angle = samples.time[known] - samples.time[0], np.unwrap(samples.angles[known, i])
         while True:

@@ -19,7 +19,7 @@ from typing import Any, Final
 from fivebar import scene_file
 from fivebar.errors import FiveBarError
 from fivebar.twin.messages import MEAS_FIELDS, MEASURED
-from fivebar.twin.recording import TIME
+from fivebar.twin.recording import TIME, TRUE
 from fivebar.variables import shown, similar
 
 PASSIVE: Final = ("passive.theta[1]", "passive.theta[2]")
@@ -133,7 +133,8 @@ def parse(content: Any) -> Map:
     known = (scene_file.DESCRIPTION, TIME, *VARIABLES)
     for name in content:
         if name not in known:
-            raise FiveBarError(f"'{name}' is not a variable of a recording{similar(name, known)}")
+            end = f"; did you mean '{TRUE[name]}'?" if name in TRUE else similar(name, known)
+            raise FiveBarError(f"'{name}' is not a variable of a recording{end}")
     entries = {name: _entry(name, given) for name, given in content.items() if name != scene_file.DESCRIPTION}
     time = entries.pop(TIME, Entry(TIME))
     if not any(name in entries for name in MEASURED):
