@@ -3,9 +3,12 @@
 import math
 import re
 import warnings
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas
 import pytest
 
 from fivebar import simulate
@@ -136,6 +139,43 @@ def test_a_column_that_is_probably_misspelt_is_warned_of(other: str, name: str |
         recording.of_columns({"time": GRID, "theta[1]": GRID, other: GRID})
     sentence = f"the record: the column {other} is not used, and there is no {name}: is this column meant?"
     assert [str(each.message) for each in caught] == ([sentence] if name else [])
+
+
+@pytest.mark.parametrize("order", ["shuffled", "from last to first"])
+def test_rows_that_are_not_sorted_are_not_taken_for_another_unit(order: str) -> None:
+    rows = np.random.default_rng(0).permutation(200) if order == "shuffled" else np.arange(200)[::-1]
+    backs = int(np.count_nonzero(np.diff(rows) < 0))
+    sentence = f"the record: time falls back in {backs} of 200 rows, too often for restarts of a clock: rows sorted by time are needed"
+    with pytest.raises(TwinError, match=f"^{sentence}$"):
+        recording.of_columns({"time": GRID[rows], "theta[1]": 1 + GRID[rows]})
+
+
+@pytest.mark.parametrize("kind", ["timestamp", "zone", "duration", "index", "datetime", "datetime64", "timedelta64"])
+def test_times_may_be_dates_and_durations(kind: str) -> None:
+    """The first time is since 1970 and keeps its nanoseconds."""
+    ns = 1_790_000_000_123_456_789 + np.round(1e9 * GRID).astype(np.int64)
+    dates = pandas.Series(pandas.to_datetime(ns))
+    frame = pandas.DataFrame({"theta[1]": GRID})
+    if kind == "index":
+        frame.index = pandas.DatetimeIndex(dates, name="time")
+    else:
+        frame["time"] = {
+            "timestamp": dates,
+            "zone": dates.dt.tz_localize("Europe/Berlin"),
+            "duration": dates - dates[0],
+        }.get(kind, GRID)
+    given: Any = {
+        "datetime": {"time": [datetime(2026, 11, 29) + timedelta(seconds=t) for t in GRID.tolist()], "theta[1]": GRID},
+        "datetime64": {"time": ns.astype("datetime64[ns]"), "theta[1]": GRID},
+        "timedelta64": {"time": [np.timedelta64(5 * k, "ms") for k in range(200)], "theta[1]": GRID},
+    }.get(kind, frame)
+    assert recording.of_columns(given).time == pytest.approx(GRID, abs=1e-12)
+
+
+def test_a_missing_date_is_a_row_without_a_time() -> None:
+    dates = pandas.Series(pandas.to_datetime([None, 1_790_000_000_000, None, 1_790_000_000_005], unit="ms"))
+    found = recording.of_columns({"time": dates, "theta[1]": np.arange(4.0)})
+    assert found.columns["measured.theta[1]"].tolist() == [1.0, 3.0]
 
 
 def test_units_may_stand_in_the_head(tmp_path: Path) -> None:

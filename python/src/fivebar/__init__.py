@@ -290,8 +290,9 @@ def calibrate(
     Parameters
     ----------
     record
-        A record of the twin or a table as a file, or columns as a dict, a `Result` or a frame of pandas: `time`, s, `measured.theta[1]` and
-        `measured.theta[2]` (or `theta[1]` and `theta[2]`), rad, and the commands of the drives, such as `servo.theta[1]` and `tau[1]`.
+        A record of the twin or a table as a file, or columns as a dict, a `Result` or a frame of pandas: `time` (s, dates or
+        durations), `measured.theta[1]` and `measured.theta[2]` (or `theta[1]` and `theta[2]`), rad, and the commands of the drives, such as
+        `servo.theta[1]` and `tau[1]`.
     scene
         The assumed machine: a scene as `run` takes it. The default is the scene of a record of the twin, or else the unit's start values.
     parameters

@@ -7,6 +7,7 @@ was restarted: the following samples are another series, and `time` appends the 
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,6 +39,9 @@ GIVEN: Final = "the record"
 
 SLOW: Final = 0.5
 """Limit of a plausible sampling period, s: machines are sampled faster, and times in ms look slower."""
+
+DISORDER: Final = 0.1
+"""Share of steps back in time, above which rows are not sorted: a series between two restarts has 20 samples or more."""
 
 MOST_DEGREES: Final = 720.0
 """Whole numbers beyond two turns in degrees are counts of an encoder."""
@@ -106,13 +110,20 @@ def read(file: Path) -> Recording:
 
 
 def of_columns(given: Any) -> Recording:
-    """The recording in the columns of a dict or of a frame of pandas, called as those of a table; the frame's index may be the time."""
+    """The recording in the columns of a dict or of a frame of pandas, called as those of a table.
+
+    The frame's index may be the time; times may be dates or durations.
+    """
     if not isinstance(given, Mapping) and not (hasattr(given, "columns") and hasattr(given, "index")):
         raise TwinError(f"a record is a file, a dict of columns or a frame of pandas, not {shown(given)}")
     found = {str(name): given[name] for name in (given if isinstance(given, Mapping) else given.columns)}
     if TIME not in found and getattr(getattr(given, "index", None), "name", None) == TIME:
         found[TIME] = given.index
-    columns = {name: _numbers(name, column) for name, column in found.items() if name in COLUMNS}
+    columns = {
+        name: _numbers(name, _seconds(column) if name == TIME else column)
+        for name, column in found.items()
+        if name in COLUMNS
+    }
     if TIME not in columns:
         raise TwinError(f"{GIVEN} has no column time (s); it has {', '.join(found)[:200] or 'nothing'}")
     for name, column in columns.items():
@@ -121,6 +132,19 @@ def of_columns(given: Any) -> Recording:
                 f"{GIVEN} has {len(columns[TIME])} values of time but {len(column)} of {name}: the counts must be equal"
             )
     return _of_table(GIVEN, columns, [name for name in found if name not in COLUMNS])
+
+
+def _seconds(given: Any) -> Any:
+    """Dates and durations as s since the first one, NaN if one is missing; anything else as it is."""
+    found = np.asarray(given)
+    first = next(iter(found.flat), None)
+    if isinstance(first, (datetime, timedelta)):
+        found = np.asarray(given, dtype="datetime64[ns]" if isinstance(first, datetime) else "timedelta64[ns]")
+    if found.dtype.kind not in "mM" or found.ndim != 1 or not len(found):
+        return given
+    missing = np.isnat(found)
+    ns = (found - found[np.argmin(missing)]).astype("timedelta64[ns]").astype(np.int64)
+    return np.where(missing, np.nan, 1e-9 * ns)
 
 
 def _numbers(name: str, given: Any) -> Array:
@@ -150,10 +174,10 @@ def _of_table(source: str | Path, columns: dict[str, Array], unused: Sequence[st
         raise TwinError(f"{source} has no number in {MEASURED[0]} or {MEASURED[1]}")
     meant = {_letters(name): TRUE.get(name, name) for name in COLUMNS}
     for other in unused:
-        name = meant.get(_letters(other))
-        if name is not None and name not in columns:
+        probable = meant.get(_letters(other))
+        if probable is not None and probable not in columns:
             warnings.warn(
-                f"{source}: the column {other} is not used, and there is no {name}: is this column meant?",
+                f"{source}: the column {other} is not used, and there is no {probable}: is this column meant?",
                 MachineWarning,
                 stacklevel=2,
             )
@@ -162,7 +186,7 @@ def _of_table(source: str | Path, columns: dict[str, Array], unused: Sequence[st
 
 
 def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[str]) -> Recording:
-    """Makes a recording from samples in order and their clock, s. Raises `TwinError` for times and angles in other units."""
+    """Makes a recording from samples in order and their clock, s. Raises `TwinError` for rows that are not sorted and for times and angles in other units."""
     usable = np.flatnonzero(np.isfinite(clock))
     own = usable[np.diff(clock[usable], prepend=np.nan) != 0]
     if len(own) < len(clock):
@@ -177,6 +201,10 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
             columns.pop(name, None)
     steps = np.diff(clock)
     back = steps < 0
+    if np.count_nonzero(back) > DISORDER * len(steps):
+        raise TwinError(
+            f"{source}: time falls back in {np.count_nonzero(back)} of {len(clock)} rows, too often for restarts of a clock: rows sorted by time are needed"
+        )
     usual = float(np.median(steps[~back])) if not back.all() else 0.0
     begins = np.flatnonzero(back) + 1
     shift = np.cumsum(np.where(back, steps - usual, 0.0))
