@@ -300,7 +300,10 @@ def test_a_csv_is_played(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda rows: rows[::-1], "no series of 20 samples or more without a gap; its clock falls back 320 times"),
+        (
+            lambda rows: rows[::-1],
+            "time falls back in 320 of 321 rows, too often for restarts of a clock: rows sorted by time are needed",
+        ),
         (lambda rows: [[1000 * at, *rest] for at, *rest in rows], "are these milliseconds?"),
         (lambda rows: [[at, *(57.3 * x for x in rest)] for at, *rest in rows], "are these degrees?"),
         (lambda rows: [[at, b, a, *rest] for at, a, b, *rest in rows], "are the encoders swapped?"),

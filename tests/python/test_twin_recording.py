@@ -114,10 +114,10 @@ def test_a_table_without_samples_is_refused(tmp_path: Path, rows: str, sentence:
 
 
 def test_a_missing_encoder_is_named(tmp_path: Path) -> None:
-    file = table(tmp_path, GRID, "time,theta[1],measured.theta[2] (deg)")
-    sentence = f"{file} has no number in measured.theta[2], and a calibration needs both encoders; columns that are not used: measured.theta[2] (deg)"
+    file = table(tmp_path, 2 * GRID, "time,theta[1],measured.theta[2] (deg)")
+    sentence = f"{file} has no number in measured.theta[2]; both encoders are needed; columns that are not used: measured.theta[2] (deg)"
     with pytest.warns(MachineWarning), pytest.raises(TwinError, match=f"^{re.escape(sentence)}$"):
-        data.read(file, 0.0, 10.0)
+        data.check(data.read(file, 0.0, 10.0))
 
 
 @pytest.mark.parametrize(
@@ -170,6 +170,24 @@ def test_times_may_be_dates_and_durations(kind: str) -> None:
         "timedelta64": {"time": [np.timedelta64(5 * k, "ms") for k in range(200)], "theta[1]": GRID},
     }.get(kind, frame)
     assert recording.of_columns(given).time == pytest.approx(GRID, abs=1e-12)
+
+
+@pytest.mark.parametrize("clock", ["s", "timestamp"])
+def test_a_table_in_parquet_is_read_as_its_csv(tmp_path: Path, clock: str) -> None:
+    """Calibration and twin read it; errors are the same too."""
+    frame = pandas.read_csv(table(tmp_path, GRID, "time,theta[1],theta[2]")).assign(note="x")
+    if clock == "timestamp":
+        frame["time"] = pandas.to_datetime(1_790_000_000_000_000_000 + (1e9 * GRID).round().astype(np.int64))
+    file = tmp_path / "a.parquet"
+    frame.to_parquet(file)
+    found, (series,) = player(file).recording, data.read(file, 0.0, 10.0).series
+    assert found.time == pytest.approx(GRID, abs=1e-12) and series.time == pytest.approx(GRID, abs=1e-12)
+    assert found.columns["measured.theta[2]"].tolist() == series.angles[:, 1].tolist() == frame["theta[2]"].tolist()
+    assert found.notes == ["columns that are not used: note"]
+    frame.drop(columns="time").to_parquet(file)
+    for reads in (player, lambda file: data.read(file, 0.0, 10.0)):
+        with pytest.raises(TwinError, match=r"has no column time \(s\); its head is theta\[1\], theta\[2\], note"):
+            reads(file)
 
 
 def test_a_missing_date_is_a_row_without_a_time() -> None:

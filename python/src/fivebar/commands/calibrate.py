@@ -75,7 +75,7 @@ def calibrate(
 ) -> int:
     """Find masses, friction and lengths from a record.
 
-    FILE is a record of `fivebar twin` (Parquet, or a folder of parts) or CSV with time, measured.theta[1..2] (or theta[1..2]) and the commands of the drives.
+    FILE is a record of `fivebar twin` (Parquet, or a folder of parts) or a table (CSV or Parquet) with time, measured.theta[1..2] (or theta[1..2]) and the commands of the drives.
     Payload, gravity, offsets and delay of the encoders can be unknowns, too. Every value has an error bar. Unknowns that the record cannot
     identify are named, with a motion that would identify them.
 
@@ -94,7 +94,7 @@ def calibrate(
 
         return work.run(trials, first, machines, unit, folder)
     if file is None:
-        raise click.UsageError("a FILE is needed: a record (Parquet), a folder of its parts, or CSV")
+        raise click.UsageError("a FILE is needed: a record, a folder of its parts, or a table")
     from fivebar.twin.calibrate import command
 
     return command.run(command.Options(file=file, fmu=unit, out=folder, **given))

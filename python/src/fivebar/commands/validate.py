@@ -24,7 +24,7 @@ from fivebar.commands import options
 def validate(record: Path, scene: str, known_commands: bool, fmu: Path | None, out: Path | None) -> int:
     """Judge the twin on a recording of a machine.
 
-    RECORD is a table with time (s), measured.theta[1..2] (rad) and, as far as known, commands (servo.theta, servo.omega, tau) and the tip (tip.x, tip.y).
+    RECORD is a table (CSV or Parquet) with time (s), measured.theta[1..2] (rad) and, as far as known, commands (servo.theta, servo.omega, tau) and the tip (tip.x, tip.y).
     The twin follows it; its last third is held out: innovations, forecasts and their bands are judged there, and compared with predictors without mechanics.
     If alarms are frequent or too few innovations are inside, and a larger estimator.torqueScale ends this, it is proposed.
 

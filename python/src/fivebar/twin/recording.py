@@ -91,14 +91,21 @@ class Recording:
 
 
 def read(file: Path) -> Recording:
-    """Reads a table with the columns `time` in s, measured.theta[1] and measured.theta[2] (or theta[1] and theta[2]) in rad, and other fields of `meas`."""
+    """Reads a table, CSV or Parquet, with the columns `time` in s, measured.theta[1] and measured.theta[2] (or theta[1] and theta[2]) in rad, and other fields of `meas`."""
+    # Imported here because a process without recordings does not need pyarrow.
+    from fivebar.twin import record
+
     try:
-        found = table.read(file, COLUMNS, TIME)
+        is_parquet = record.is_record(file)
+        found = record.table_of(file, COLUMNS, TIME) if is_parquet else table.read(file, COLUMNS, TIME)
     except FiveBarError as error:
         raise TwinError(str(error)) from None
-    columns = dict(found.columns)
+    columns, in_head = dict(found.columns), dict(found.units)
+    if is_parquet and in_head.pop(TIME, ""):
+        # Timestamps are in ns.
+        columns[TIME] = 1e-9 * columns[TIME]
     for name in columns:
-        unit, given = _unit(name), found.units.get(name, "")
+        unit, given = _unit(name), in_head.get(name, "")
         if given and _plain(given) != _plain(unit):
             raise TwinError(f"{file}: {name} is in {given:.20}, but {unit} is expected")
     if TIME not in columns:

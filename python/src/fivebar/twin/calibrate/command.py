@@ -26,7 +26,7 @@ class Options:
     """Options of a calibration: the record, the unknowns, the fit."""
 
     file: Path
-    """A record: Parquet, a folder of parts, or CSV."""
+    """A record (Parquet or a folder of parts), or a table (CSV or Parquet)."""
 
     parameters: tuple[str, ...]
     """Unknowns by name; none means `USUAL`."""

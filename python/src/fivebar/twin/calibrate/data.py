@@ -1,4 +1,4 @@
-"""Measured series: encoder angles and drive commands, from a record (Parquet) or a table (CSV)."""
+"""Measured series: encoder angles and drive commands, from a record of the twin, or from a table (CSV or Parquet)."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -79,6 +79,8 @@ class Data:
 
     series: list[Samples]
     notes: list[str]
+    source: str | Path = recording.GIVEN
+    """File or folder, for error messages."""
 
     @property
     def period(self) -> float:
@@ -91,11 +93,7 @@ def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
     if not isinstance(source, Path):
         given = recording.of_columns(source)
     else:
-        given = of_record(source, unit) if record.is_record(source) else recording.read(source)
-    for name in MEASURED:
-        if not np.isfinite(given.columns.get(name, np.nan)).any():
-            more = "".join(f"; {note}" for note in given.notes)
-            raise TwinError(f"{given.source} has no number in {name}, and a calibration needs both encoders{more}")
+        given = of_record(source, unit) if source.is_dir() or record.is_of_twin(source) else recording.read(source)
     first, last = np.searchsorted(given.time, begin), np.searchsorted(given.time, begin + seconds, side="right")
     if first == last:
         raise TwinError(
@@ -109,15 +107,19 @@ def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
 
 
 def check(data: Data) -> None:
-    """Raises `TwinError` for data that do not allow a calibration: too short, at rest despite commands, or with swapped encoders."""
+    """Raises `TwinError` for data that do not allow a calibration: too short, without an encoder, at rest despite commands, or with swapped encoders."""
     span = sum(float(series.time[-1] - series.time[0]) for series in data.series)
     if span < SHORTEST:
         raise TwinError(f"the record has {span:.3g} s; {SHORTEST:g} s or more are needed")
+    angles = np.concatenate([series.angles for series in data.series])
+    for name, column in zip(MEASURED, angles.T, strict=True):
+        if not np.isfinite(column).any():
+            more = "".join(f"; {note}" for note in data.notes)
+            raise TwinError(f"{data.source} has no number in {name}; both encoders are needed{more}")
     names = data.series[0].names
     servos = [f"servo.theta[{i}]" for i in (1, 2)]
     if not all(name in names for name in servos):
         return
-    angles = np.concatenate([series.angles for series in data.series])
     commanded = np.concatenate([series.commands[:, [names.index(name) for name in servos]] for series in data.series])
     # Without 1 % on either side, because outliers look like motion of a resting machine.
     moved, led = (np.diff(np.nanquantile(each, (0.01, 0.99), axis=0), axis=0)[0] for each in (angles, commanded))
@@ -156,7 +158,7 @@ def split(given: recording.Recording) -> Data:
         notes.append(
             f"{len(parts) - 1} gaps or jumps of the clock; {len(parts) - len(series)} series of less than 20 samples are left out"
         )
-    return Data(series, notes)
+    return Data(series, notes, given.source)
 
 
 def turned(given: Data, library: Library, scene: Mapping[str, Value]) -> Data:

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from fivebar import extras, table
 from fivebar.errors import FiveBarError
-from fivebar.twin.record import is_of_twin, is_record
+from fivebar.twin.record import is_of_twin, is_record, table_of
 from fivebar.twin.recording import TIME, Array
 
 BAGS: Final = (".db3", ".mcap", ".bag")
@@ -75,31 +73,9 @@ def _table(file: Path, wanted: Collection[str], clock: str) -> table.Table:
         return table.read(file, {clock, *wanted}, clock, numbered=True)
     if file.is_dir():
         raise FiveBarError(f"{file} is a folder: a table, or a bag of ROS with its metadata.yaml, is expected")
-    try:
-        if is_of_twin(file):
-            raise FiveBarError(f"{file} is a record of `fivebar twin`, which needs no import")
-        known = pq.read_schema(file).names
-        content = pq.read_table(file, columns=[name for name in known if name in {clock, *wanted}])
-    except (OSError, pa.ArrowException) as error:
-        raise FiveBarError(f"{file} is not a Parquet file: {str(error)[:120]}") from None
-    columns = {name: _numbers(file, name, content[name], name == clock) for name in content.column_names}
-    stamped = [name for name in columns if pa.types.is_timestamp(content[name].type)]
-    return table.Table(columns, dict.fromkeys(stamped, "ns"), [name for name in known if name not in columns])
-
-
-def _numbers(file: Path, name: str, column: "pa.ChunkedArray[Any]", counted: bool) -> Array:
-    """A column as floats; a clock is counted from its first reading before the conversion, so that it keeps its precision."""
-    kind = column.type
-    if pa.types.is_timestamp(kind):
-        column, kind = column.cast(pa.timestamp("ns")).cast(pa.int64()), pa.int64()
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        raise FiveBarError(f"{file}: {name} has the type {kind}, but numbers are expected")
-    known = np.asarray(column.is_valid())
-    origin = column[int(np.argmax(known))].as_py() if counted and known.any() else 0
-    found = np.full(len(known), np.nan)
-    found[known] = np.asarray(column.drop_null()) - origin
-    found[~np.isfinite(found)] = np.nan
-    return found
+    if is_of_twin(file):
+        raise FiveBarError(f"{file} is a record of `fivebar twin`, which needs no import")
+    return table_of(file, {clock, *wanted}, clock)
 
 
 @dataclass(frozen=True)
