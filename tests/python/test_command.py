@@ -77,6 +77,7 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
         (["run", "swing", "--set", "tip.x=1"], "fivebar run: 'tip.x' is computed by the FMU and cannot be set"),
         (["run", "swing", "--set", "init.theta[1]=3.2", "--set", "init.theta[2]=0"], "fivebar run: "),
         (["run", "swing", "--fmu", "none.fmu"], "fivebar run: there is no .fmu at none.fmu"),
+        (["run", "swing", "--fmu", __file__], f"fivebar run: {__file__} is not an .fmu: a ZIP archive with"),
         (["ensemble", "--vary", "foo=1"], "fivebar ensemble: foo cannot be varied: foo is not a parameter of the machine; "),
         (["run", "swing", "--out", "/proc/nowhere"], "fivebar run: out is /proc/nowhere; a folder that exists or can be made is needed: "),
         (["replay", "none"], "fivebar replay: there is no record at none"),

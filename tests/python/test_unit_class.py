@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -238,6 +239,33 @@ def test_messages_are_kept_and_logged(caplog: pytest.LogCaptureFixture) -> None:
         assert len(unit.log) == instance.MESSAGES and str(unit.log[-1]).startswith("Error: fmi2SetReal: tau[1] = NaN")
         unit.log.clear()
         assert caplog.records[-1].levelno == logging.DEBUG and caplog.records[-1].getMessage().startswith("fmi2SetReal")
+
+
+def test_a_unit_is_made_of_an_fmu_by_its_path(fmu: Path, tmp_path: Path) -> None:
+    for path in (fmu, str(fmu)):
+        with Unit.of(path) as unit:
+            unit.reset(**{"tau[2]": 0.5})
+            assert unit["tau[2]"] == 0.5
+    (tmp_path / "a.fmu").write_text("no archive")
+    with ZipFile(tmp_path / "b.fmu", "w") as archive:
+        archive.writestr("a.txt", "no description")
+    for wrong, sentence in (
+        (tmp_path / "a.fmu", "a.fmu is not an .fmu: a ZIP archive with a modelDescription.xml is needed"),
+        (tmp_path / "b.fmu", "b.fmu is not an .fmu: a ZIP archive with a modelDescription.xml is needed"),
+        (tmp_path / "c.fmu", "there is no .fmu at .*c.fmu"),
+        (3, "'library' must be the path of an .fmu or a Library, not 3"),
+    ):
+        with pytest.raises(FiveBarError, match=f"{sentence}$"):
+            Unit.of(wrong)  # type: ignore[arg-type]
+
+
+def test_numbers_are_read_by_one_name_or_any_sequence_of_names() -> None:
+    with Unit() as unit:
+        assert unit.numbers("tip.x") == unit.numbers(["tip.x"]) == unit.numbers(("tip.x",)) == [unit["tip.x"]]
+        assert unit.floats("tip.x") == unit.floats(iter(["tip.x"])) == {"tip.x": unit["tip.x"]}
+        for read in (unit.numbers, unit.floats):
+            with pytest.raises(FiveBarError, match=r"^'names' must be a name or a list of names, not \[3\]$"):
+                read([3])  # type: ignore[list-item]
 
 
 def test_a_closed_unit_says_so() -> None:

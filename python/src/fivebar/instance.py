@@ -216,13 +216,13 @@ class Instance:
         self.call(block.getter, block.references, len(block.references), values)
         return values
 
-    def numbers(self, names: tuple[str, ...]) -> list[Value]:
+    def numbers(self, names: str | Iterable[str]) -> list[Value]:
         """Reads variables as numbers.
 
         Parameters
         ----------
-        names : tuple of str
-            Variables.
+        names : str or iterable of str
+            Variables; a tuple is read fastest.
 
         Returns
         -------
@@ -241,6 +241,8 @@ class Instance:
         ...     unit.numbers(("solver.method", "viscous.enabled", "tau[1]"))
         [1, 0, 0.0]
         """
+        if type(names) is not tuple:
+            names = arguments.names("names", names)
         blocks = self.library.blocks(names)
         if len(blocks) == 1:
             return list(self.read(blocks[0]))
@@ -250,13 +252,13 @@ class Instance:
                 found[place] = value
         return found
 
-    def floats(self, names: tuple[str, ...]) -> dict[str, float]:
+    def floats(self, names: str | Iterable[str]) -> dict[str, float]:
         """Reads variables as floats.
 
         Parameters
         ----------
-        names : tuple of str
-            Variables.
+        names : str or iterable of str
+            Variables; a tuple is read fastest.
 
         Returns
         -------
@@ -275,6 +277,8 @@ class Instance:
         ...     unit.floats(("tau[1]", "tau[2]"))
         {'tau[1]': 0.0, 'tau[2]': 0.0}
         """
+        if type(names) is not tuple:
+            names = arguments.names("names", names)
         return dict(zip(names, map(float, self.numbers(names)), strict=True))
 
     def initialise(self, time: float) -> None:
@@ -349,13 +353,13 @@ class Unit(Instance):
             raise
 
     @classmethod
-    def of(cls, library: Library, name: str = "unit") -> Self:
-        """A unit of any .fmu that is not yet initialised: call `reset` or `restore` first.
+    def of(cls, library: "Library | str | Path", name: str = "unit") -> Self:
+        """A unit of any .fmu that `fivebar.unit` makes. It is not yet initialised: call `reset` or `restore` first.
 
         Parameters
         ----------
-        library : Library
-            The extracted .fmu.
+        library : str, pathlib.Path or Library
+            The .fmu, or its extracted library.
         name : str, optional
             Name of the instance in messages.
 
@@ -367,15 +371,17 @@ class Unit(Instance):
         Raises
         ------
         FiveBarError
-            If it cannot be instantiated.
+            If there is no such .fmu, or it cannot be instantiated.
 
         Examples
         --------
         >>> import fivebar
-        >>> from fivebar.library import Library
-        >>> with fivebar.Unit.of(Library(fivebar.unit())) as unit:
+        >>> with fivebar.Unit.of(fivebar.unit()) as unit:
         ...     unit.reset()
         """
+        if not isinstance(library, (Library, str, Path)):
+            raise FiveBarError(f"'library' must be the path of an .fmu or a Library, not {shown(library)}")
+        library = library if isinstance(library, Library) else shared(Path(library))
         unit = cls.__new__(cls)
         unit._open(library, name, None, {})
         return unit

@@ -18,7 +18,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fivebar import shipped
 from fivebar.errors import FiveBarError
-from fivebar.variables import Variable, Variables, shown, similar
+from fivebar.variables import Variable, Variables, description, shown, similar
 
 INDEX = re.compile(r"\[\d+\]")
 """The index in a name."""
@@ -75,13 +75,13 @@ class Library:
         if not fmu.is_file():
             raise FiveBarError(f"there is no .fmu at {fmu}: `cargo xtask package` makes it")
         self.fmu = fmu
+        self.model: ModelDescription = description(fmu)
         self.directory = fmpy.extract(str(fmu))
         self.loaded: list[fmi2._FMU2] = []
         self.open: set[int] = set()
         """Addresses of instances that have not been freed yet."""
 
         self._discard = weakref.finalize(self, _discard, self.directory, os.getpid(), self.loaded, self.open)
-        self.model: ModelDescription = fmpy.read_model_description(self.directory, validate=False)
         self.variables: dict[str, ScalarVariable] = {v.name: v for v in self.model.modelVariables}
         self._blocks: dict[tuple[str, ...], tuple[Block, ...]] = {}
         self._reals: dict[tuple[tuple[str, ...], bool], Block | None] = {}

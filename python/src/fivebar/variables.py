@@ -175,9 +175,19 @@ def of_unit(fmu: Path | None = None) -> Variables:
 
 @lru_cache(maxsize=4)
 def _read(file: Path, _changed: int, _size: int) -> Variables:
+    return Variables(description(file))
+
+
+def description(fmu: Path) -> "ModelDescription":
+    """FMPy's model description of an .fmu. Raises FiveBarError if the file is something else."""
     import fmpy
 
-    return Variables(fmpy.read_model_description(str(file), validate=False))
+    try:
+        return fmpy.read_model_description(str(fmu), validate=False)
+    except OSError:
+        raise
+    except Exception:  # noqa: BLE001 -- FMPy raises this class itself
+        raise FiveBarError(f"{fmu} is not an .fmu: a ZIP archive with a modelDescription.xml is needed") from None
 
 
 def _variable(variable: "ScalarVariable") -> Variable:
