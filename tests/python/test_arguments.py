@@ -1,6 +1,7 @@
 """Wrong types and values in every public function: one sentence that names the argument and its value."""
 
 import pickle
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -71,8 +72,11 @@ def test_a_unit(unit: Unit, call: Callable[[Any], Any], sentence: str) -> None:
 
 
 def test_a_unit_is_not_sent_to_another_process(unit: Unit) -> None:
-    for each in (unit, unit.state()):
-        with pytest.raises(TypeError, match=r"^a live unit cannot be pickled: send its `state\(\).to_bytes\(\)`"):
+    for each, sentence in (
+        (unit, "a live unit cannot be pickled: send its `state().to_bytes()`, and `restore` them in a new unit"),
+        (unit.state(), "a state cannot be pickled: send its `to_bytes()`, and `restore` them in another unit"),
+    ):
+        with pytest.raises(TypeError, match=f"^{re.escape(sentence)}$"):
             pickle.dumps(each)
 
 

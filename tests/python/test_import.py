@@ -492,7 +492,7 @@ def test_a_guess_needs_both_encoders(tmp_path: Path, capsys: pytest.CaptureFixtu
         ('{"measured.theta[1]": {"column": "q", "steps": 4096}}', "'measured.theta[1].steps' must be the steps of a turn, more than 0, "),
         ('{"measured.theta[1]": {"column": "q", "sign": -2}}', "'measured.theta[1].sign' must be 1 or -1, not -2"),
         ('{"measured.theta[1]": {"column": "q", "scale": 0}}', "'measured.theta[1].scale' must be a number other than 0, not 0"),
-        ('{"measured.theta[1]": {"column": "q", "offset": "90 degrees"}}', "'measured.theta[1].offset' must be a number in rad, or a text such as"),
+        ('{"measured.theta[1]": {"column": "q", "offset": "90"}}', "'measured.theta[1].offset' must be a number in rad, or a text such as \"90 deg\" with one of rad, mrad, deg, turns, not \"90\""),
         ('{"measured.theta[1]": {"column": "q", "offset": []}}', "'measured.theta[1].offset' must be a number, not []"),
         ('{"measured.theta[2]": {"column": "q"}, "passive.theta[1]": {"column": "p", "relative": true}}', "'passive.theta[1].relative' needs measured.theta[1]"),
         (

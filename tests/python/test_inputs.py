@@ -63,6 +63,7 @@ def test_inputs_replace_values_of_the_scene(fmu: Path) -> None:
         ({"tau[1]": ([0, 1], [0, 1, 2])}, "the input 'tau[1]' has 3 values but 2 values of time: the counts must be equal"),
         ({"tau[1]": ([0, 1, 1], [0, 1, 2])}, "the times of input 'tau[1]' must increase, but 1.0 s follows 1.0 s"),
         ({"tau[1]": np.where(POINTS == POINTS[3], np.nan, 0)}, "the input 'tau[1]' must be finite, but is nan at 0.003 s"),
+        ({"tau[1]": ([0, 0.05, 0.1], [0, np.nan, 1])}, "the input 'tau[1]' must be finite, but is nan at 0.05 s"),
         ({"payload.mass": -1}, "'payload.mass' must be a number in kg from 0 to 1000000000, not -1.0"),
         ({"tau[1]": ["a"]}, "the input 'tau[1]' must have one number for each time, not [\"a\"]"),
         ({"tau": 1}, "'tau' is not an input of the FMU; did you mean 'tau[2]' or 'tau[1]'?"),

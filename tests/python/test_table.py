@@ -41,6 +41,12 @@ ROWS = "0,1.5,0.25\n0.001,-1e-3,2\n"
         (HEAD + ROWS).encode("utf-16"),
         b"\xfe\xff" + (HEAD + ROWS).encode("utf-16-be"),
         "Größe,tau[1],time,theta[1],\nx,.25,0,1.5,\ny,2,1e-3,-.001,\n",
+        "sep=;\n" + (HEAD + ROWS).replace(",", ";"),
+        '"sep=|"\r\n' + (HEAD + ROWS).replace(",", "|"),
+        "# bench, 2026; it's warm \"\n#\n" + HEAD + ROWS,
+        "# bench\n# " + HEAD + ROWS,
+        "# 1,2,3\n" + HEAD + ROWS,
+        "#,time,theta[1],tau[1],note\n1,0,1.5,.25,x\n2,1e-3,-.001,2,\n",
         HEAD + "1700000000,1.5,0.25\n1700000000.001,-1e-3,2\n",
     ],
 )

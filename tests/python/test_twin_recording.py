@@ -60,6 +60,9 @@ def test_a_part_is_counted_over_all_series(tmp_path: Path) -> None:
     file = table(tmp_path, np.concatenate([GRID, GRID, GRID]))
     found = data.read(file, 0.5, 1.0)
     assert [len(series) for series in found.series] == [100, 101]
+    rest = data.read(file, 0.5, math.inf)
+    assert [len(series) for series in rest.series] == [100, 200, 200]
+    assert rest.notes[-1] == "used are 500 of 600 samples: all from 0.5 s on"
 
 
 def test_rows_without_a_time_of_their_own_are_left_out(tmp_path: Path) -> None:

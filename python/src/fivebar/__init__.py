@@ -298,7 +298,7 @@ def calibrate(
     parameters
         Names of the unknowns, or groups such as `link[1,4].mass`. The default is the usual unknowns.
     begin, seconds
-        Used part of the record: begin, s after its first sample, and length, s.
+        Used part of the record: begin, s after its first sample, and length, s; `math.inf` for all.
     longest
         Series longer than this, s, are cut.
     commands

@@ -94,6 +94,8 @@ def _joined(name: str, times: Any, values: Any, points: Floats) -> Floats:
         raise FiveBarError(f"the times of input '{name}' must be finite")
     for row in np.flatnonzero(~(np.diff(at) > 0)):
         raise FiveBarError(f"the times of input '{name}' must increase, but {at[row + 1]} s follows {at[row]} s")
+    for row in np.flatnonzero(~np.isfinite(course)):
+        raise FiveBarError(f"the input '{name}' must be finite, but is {course[row]} at {at[row]:g} s")
     return np.interp(points, at, course)
 
 

@@ -791,6 +791,9 @@ class State:
         # The garbage collector may run this during a call of the unit, so it must not call the unit.
         self._unit._spare.append(self._handle)
 
+    def __reduce__(self) -> str:
+        raise TypeError("a state cannot be pickled: send its `to_bytes()`, and `restore` them in another unit")
+
     @property
     def time(self) -> float:
         """Time of the state, s."""

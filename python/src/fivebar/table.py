@@ -2,7 +2,7 @@
 
 Tables are written with commas, numbers in full precision and plain names, so every CSV reader finds a variable by its name.
 Tables of spreadsheets and loggers can be read too: with commas, semicolons or tabs between the columns, a decimal comma,
-units in brackets after the names, and in any encoding that `fivebar.encoding` knows.
+units in brackets after the names, `sep=` or comments before the head, and in any encoding that `fivebar.encoding` knows.
 """
 
 import csv
@@ -31,6 +31,11 @@ MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "null"))
 
 UNIT = re.compile(r"(.+?)(?:\s+|(?!\[\d+]))\[([^][]*)]")
 """A name and its unit; a number in brackets directly after a name, as in `theta[1]`, belongs to the name."""
+
+SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
+"""First line of a spreadsheet's table: the character between the columns."""
+
+COMMENT = "#"
 
 
 @dataclass(frozen=True)
@@ -100,16 +105,38 @@ def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> 
 
 
 def rows(text: str) -> Iterator[list[str]]:
-    """The cells of each row that is not blank."""
+    """The cells of each row that is not blank, without `sep=` and comments before the first row.
+
+    If the first row has a number, the last comment is the head if it has as many cells and no number, as `numpy.savetxt` writes it.
+    """
     lines = io.StringIO(text, newline=None)
-    first = next((line for line in lines if line.strip()), "")
-    separator = next((each for each in "\t;" if each in first), ",")
+    first, comment, separator = "", "", ""
+    for first in filter(str.strip, lines):
+        if first.startswith(COMMENT):
+            comment = first.lstrip(COMMENT)
+        elif found := SEPARATOR.fullmatch(first.strip()):
+            separator = found[1]
+        else:
+            break
+    else:
+        first = ""
+    separator = separator or next((each for each in "\t;" if each in first), ",")
     try:
-        for row in csv.reader(chain([first], lines), delimiter=separator, skipinitialspace=True, strict=True):
-            if "".join(row).strip():
-                yield row
+        head = next(_cells([comment], separator), [])
+        for row in _cells(chain([first], lines), separator):
+            if len(head) == len(row) and _has_number(row) and not _has_number(head):
+                yield head
+            head = []
+            yield row
     except csv.Error as error:
         raise FiveBarError(f"it is no CSV: {error}") from None
+
+
+def _cells(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
+    """The cells of each row that is not blank."""
+    for row in csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True):
+        if "".join(row).strip():
+            yield row
 
 
 def named(cell: str) -> tuple[str, str]:
@@ -133,6 +160,11 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _has_number(row: list[str]) -> bool:
+    """Whether a cell has a number."""
+    return any(cell.strip() and _is_number(cell) for cell in row)
 
 
 def _decimal(cell: str) -> Decimal:

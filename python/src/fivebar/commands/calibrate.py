@@ -31,7 +31,9 @@ from fivebar.commands import options
     metavar="S",
     help="Begin of the used part, s after the first sample.",
 )
-@click.option("--seconds", type=float, default=10.0, show_default=True, metavar="S", help="Length of the used part, s.")
+@click.option(
+    "--seconds", type=float, default=10.0, show_default=True, metavar="S", help="Length of the used part, s; inf: all."
+)
 @click.option(
     "--longest", type=float, default=10.0, show_default=True, metavar="S", help="Series longer than this, s, are cut."
 )

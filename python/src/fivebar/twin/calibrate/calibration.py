@@ -348,7 +348,7 @@ def calibrate(
 
 
 def _check_positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
+    if not value > 0:
         raise TwinError(f"{name} is {value:g}; more than 0 is needed")
 
 

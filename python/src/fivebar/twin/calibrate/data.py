@@ -102,7 +102,8 @@ def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
         )
     data = split(given.part(int(first), int(last)))
     if last - first < len(given.time):
-        data.notes.append(f"used are {last - first} of {len(given.time)} samples: {seconds:g} s from {begin:g} s on")
+        length = f"{seconds:g} s" if math.isfinite(seconds) else "all"
+        data.notes.append(f"used are {last - first} of {len(given.time)} samples: {length} from {begin:g} s on")
     return data
 
 

@@ -202,7 +202,7 @@ def _offset(name: str, given: Any) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise FiveBarError(
-            f"'{name}.offset' must be a number in {next(iter(units))}, or a text such as \"90 {list(units)[-1]}\" with one of {', '.join(units)}, not {shown(given)}"
+            f"'{name}.offset' must be a number in {next(iter(units))}, or a text such as \"90 {list(units)[:3][-1]}\" with one of {', '.join(units)}, not {shown(given)}"
         )
     return value
 
