@@ -173,13 +173,20 @@ def test_later_commands_may_be_known(
 def test_a_record_that_cannot_be_followed_is_refused(
     swing: Columns, fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "record.csv"
-    table.write_columns(file, {name: column for name, column in swing.items() if name != "measured.theta[2]"})
-    assert main(["validate", str(file), "--scene", "swing", "--fmu", str(fmu), "--out", str(tmp_path / "out")]) == 2
-    assert (
-        "has no sample with both measured.theta[1] and measured.theta[2]: no twin can start" in capsys.readouterr().err
-    )
-    assert not (tmp_path / "out").exists()
+    """A record without an encoder, and encoders that are never sampled together."""
+    file, (left, right) = tmp_path / "record.csv", ("measured.theta[1]", "measured.theta[2]")
+    is_even = np.arange(len(swing["time"])) % 2 == 0
+    apart = {left: np.where(is_even, swing[left], np.nan), right: np.where(is_even, np.nan, swing[right])}
+    for columns, sentence in (
+        (
+            {name: column for name, column in swing.items() if name != right},
+            f"has no number in {right}; both encoders are needed",
+        ),
+        (swing | apart, f"has no sample with both {left} and {right}: no twin can start"),
+    ):
+        table.write_columns(file, columns)
+        assert main(["validate", str(file), "--scene", "swing", "--fmu", str(fmu), "--out", str(tmp_path / "out")]) == 2
+        assert sentence in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_the_encoders_of_a_scene_are_those_of_machine_and_twin(fmu: Path, scenes: Path, tmp_path: Path) -> None:
