@@ -366,3 +366,12 @@ def test_arrays_are_sequences(given: object) -> None:
         unit["tau"] = given
     with Unit() as unit, pytest.raises(FiveBarError, match=r"tau\[1\]"):
         unit["tau[1]"] = np.array([1.0, 2.0])
+
+
+def test_an_assignment_reaches_the_unit_or_is_refused() -> None:
+    with Unit() as unit:
+        with pytest.raises(ValueError, match="read-only"):
+            unit["tau"][0] = 1.0
+        with pytest.raises(AttributeError, match="'tau'"):
+            unit.tau = (3.0, 3.0)  # type: ignore[attr-defined]
+        assert unit["tau"].tolist() == [0.0, 0.0]

@@ -39,6 +39,11 @@ MESSAGES = 1000
 class Instance:
     """An instance of the unit for co-simulation or model exchange: its calls, variables and log."""
 
+    # Without a `__dict__`, `unit.tau = ...` in place of `unit["tau"] = ...` is an AttributeError.
+    __slots__ = (
+        "__weakref__", "_callbacks", "_component", "_free", "_functions", "_handles", "_lock", "library", "log",
+    )  # fmt: skip
+
     def __init__(self, library: Library, name: str, exchange: bool = False):
         self.library = library
         self.log: deque[Message] = deque(maxlen=MESSAGES)
@@ -342,6 +347,8 @@ class Unit(Instance):
     ((2,), 'automatic')
     """
 
+    __slots__ = ("_given", "_scene", "_spare", "_time")
+
     def __init__(self, scene: "str | Path | Scene | None" = None, **values: Any):
         library = shared()
         read = scene if scene is None or isinstance(scene, Scene) else scenes.read(scene, library.known)
@@ -462,7 +469,7 @@ class Unit(Instance):
         -------
         float, int, bool, str, numpy.ndarray, or a tuple of them
             The value of one name, or a tuple of values in the order of the names, in the variables' units. An enumeration is the
-            name of its item; an array of n elements has the shape (n,).
+            name of its item; an array of n elements has the shape (n,) and is read-only.
 
         Raises
         ------
@@ -483,7 +490,10 @@ class Unit(Instance):
             if len(part) == 1 and part[0].name == name:
                 found.append(_value(part[0], next(numbers)))
             else:
-                found.append(np.array([next(numbers) for _ in part]))
+                values = np.array([next(numbers) for _ in part])
+                # A change of this copy would not reach the unit.
+                values.flags.writeable = False
+                found.append(values)
         return found[0] if len(names) == 1 else tuple(found)
 
     def __getitem__(self, name: str) -> Any:
