@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -117,6 +118,29 @@ def test_an_impossible_machine_is_named(values: dict[str, float], sentence: str)
         read = scene.parse("own", json.dumps({"description": "Own."} | values))
     [warning] = caught
     assert str(warning.message).startswith(f"own: {sentence}") and read.values == values
+
+
+HEAVY_END = {"link[1].com": 5.0}
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        lambda: fivebar.run("fall_90_120", stop_time=0.01, **HEAVY_END),
+        lambda: fivebar.run_many("swing", [HEAVY_END], stop_time=0.01, processes=1, progress=False),
+        lambda: scene.read("swing").replace(HEAVY_END).replace(stop_time=0.01).with_method(),
+        lambda: fivebar.Unit(**HEAVY_END),
+        lambda: fivebar.Unit("swing", **HEAVY_END),
+        lambda: fivebar.run(HEAVY_END, stop_time=0.01, **{"link[2].mass": 0.02}),
+    ],
+    ids=["run", "run_many", "replace", "unit", "unit of a scene", "dict"],
+)
+def test_start_values_in_keywords_are_checked_once(start: Callable[[], object]) -> None:
+    """The warning is at the caller's line."""
+    with pytest.warns(MachineWarning, match=r"link\[1\].com is 5 m, beyond the joints") as caught:
+        start()
+    [warning] = caught
+    assert warning.filename == __file__
 
 
 def test_rods_and_masses_at_both_ends_are_possible() -> None:

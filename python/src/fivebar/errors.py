@@ -1,5 +1,8 @@
 """Errors and warnings that the caller can fix: one sentence names the object, its value and the allowed values."""
 
+import sys
+import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -36,4 +39,12 @@ class StepFailed(UnitError):
 
 
 class MachineWarning(UserWarning):
-    """A scene describes a machine that cannot exist, or a column of a record is probably misspelt. The command prints the message and continues."""
+    """Values describe an impossible machine or are hardly meant: degrees for rad, a misspelt column. The command prints the message and continues."""
+
+
+def warn(sentence: str) -> None:
+    """Gives a MachineWarning at the caller's line, which is the nearest one outside of this package."""
+    package, level, frame = str(Path(__file__).parent), 1, sys._getframe()
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(package):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(sentence, MachineWarning, stacklevel=level)

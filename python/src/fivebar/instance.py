@@ -338,6 +338,11 @@ class Unit(Instance):
     FiveBarError
         If the scene or a name is unknown, or the unit refuses a value or the start. The text is one sentence.
 
+    Warns
+    -----
+    MachineWarning
+        If the start values make a link impossible.
+
     Examples
     --------
     >>> from fivebar import Unit
@@ -358,6 +363,8 @@ class Unit(Instance):
         except BaseException:
             self.close()
             raise
+        if read is None:
+            scenes.warn_of("unit", library.known, self._elements(values))
 
     @classmethod
     def of(cls, library: "Library | str | Path", name: str = "unit") -> Self:

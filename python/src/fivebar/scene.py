@@ -5,7 +5,6 @@ This module reads, checks and resolves a file, using names, types, bounds and st
 
 import json
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fivebar import arguments, links, scene_file, shipped, tip_scenes
-from fivebar.errors import FiveBarError, MachineWarning
+from fivebar.errors import FiveBarError, warn
 from fivebar.inputs import Inputs, sampled
 from fivebar.kinematics import Working
 from fivebar.signals import TIP, Signal
@@ -190,6 +189,11 @@ class Scene:
         FiveBarError
             If a name or value is refused.
 
+        Warns
+        -----
+        MachineWarning
+            If the new start values make a link impossible.
+
         Examples
         --------
         >>> from fivebar.scene import read
@@ -215,6 +219,7 @@ class Scene:
         kept_signals = [name for name in self.signals if name not in moved and name not in commands]
         signals = commands | moved | {name: self._signal(name, points) for name in kept_signals}
         scene_file.check_signals([each for _, each in runs], signals)
+        warn_of(self.name, self.variables, own, before)
         return replace(
             self,
             stop_time=stop,
@@ -380,8 +385,7 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
         courses = {signal.variable.name: np.array([signal.at(time) for time in points.tolist()]) for signal in own}
     runs = [(scene_file.method(content.values, variables), content.values), *content.overlays]
     variants, commands = _resolved(runs, content.tip, variables.start, points)
-    for sentence in links.doubts({**variables.start, **content.values}):
-        warnings.warn(f"{name}: {sentence}", MachineWarning, stacklevel=2)
+    warn_of(name, variables, content.values)
     return Scene(
         name=name,
         description=content.description,
@@ -395,6 +399,14 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
         assumed=content.assumed,
         knots={signal.variable.name: signal for signal in content.signals if signal.variable.name not in TIP},
     )
+
+
+def warn_of(name: str, variables: Variables, values: Values, before: Values | None = None) -> None:
+    """Gives MachineWarnings about the start values of a scene, except those that the values `before` had as well."""
+    known = [] if before is None else links.doubts({**variables.start, **before})
+    for sentence in links.doubts({**variables.start, **values}):
+        if sentence not in known:
+            warn(f"{name}: {sentence}")
 
 
 def _resolved(
