@@ -110,10 +110,15 @@ def test_the_start_has_the_signals_first_values(fmu: Path) -> None:
             {"link[4].inertia": 2.5e-4},
             "link[4].inertia is 0.00025 kg.m2 about the centre of mass, more than the 0.000187 kg.m2",
         ),
+        (
+            {"init.theta[1]": 126.0, "init.theta[2]": 90.0},
+            "init.theta[1] is 126 rad, which is 20 turns: is it in degrees?",
+        ),
+        ({"base.distance": 120.0}, "base.distance is 120 m: is it in millimetres?"),
     ],
 )
 def test_an_impossible_machine_is_named(values: dict[str, float], sentence: str) -> None:
-    """Such a mass cannot lie between the joints, but a counterweight could explain it, so this is a warning."""
+    """A counterweight could explain a mass beyond the joints, and a large angle may be meant, so these are warnings."""
     with pytest.warns(MachineWarning) as caught:
         read = scene.parse("own", json.dumps({"description": "Own."} | values))
     [warning] = caught

@@ -341,7 +341,7 @@ class Unit(Instance):
     Warns
     -----
     MachineWarning
-        If the start values make a link impossible.
+        If the start values make a link impossible, or look like degrees or millimetres.
 
     Examples
     --------

@@ -192,7 +192,7 @@ class Scene:
         Warns
         -----
         MachineWarning
-            If the new start values make a link impossible.
+            If the new start values make a link impossible, or look like degrees or millimetres.
 
         Examples
         --------
@@ -403,10 +403,14 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
 
 def warn_of(name: str, variables: Variables, values: Values, before: Values | None = None) -> None:
     """Gives MachineWarnings about the start values of a scene, except those that the values `before` had as well."""
-    known = [] if before is None else links.doubts({**variables.start, **before})
-    for sentence in links.doubts({**variables.start, **values}):
+    known = [] if before is None else _doubts({**variables.start, **before})
+    for sentence in _doubts({**variables.start, **values}):
         if sentence not in known:
             warn(f"{name}: {sentence}")
+
+
+def _doubts(values: Mapping[str, Value]) -> list[str]:
+    return [*links.doubts(values), *links.mistaken_units(values)]
 
 
 def _resolved(
