@@ -8,7 +8,7 @@ import pandas
 import pytest
 
 import fivebar
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, MachineWarning
 from fivebar.inputs import sampled
 from fivebar.scene import read
 from fivebar.variables import of_unit
@@ -96,6 +96,14 @@ def test_inputs_of_a_scene_are_known_to_its_end_only() -> None:
     ):
         given.replace(stop_time=2.0)
     assert given.replace(stop_time=2.0, inputs={"tau[1]": 0.0}).signals["tau[2]"][-1] == 0.01
+
+
+def test_times_in_milliseconds_are_warned_of_once() -> None:
+    with pytest.warns(MachineWarning) as caught:
+        read("swing").replace(stop_time=0.1, inputs={"time": [0, 50, 100], "tau[1]": [0, 0, 0], "tau[2]": [0, 0, 0]})
+    [warning] = caught
+    sentence = "the times of input 'tau[1]' end at 100 s, but the run at 0.1 s: are they in milliseconds?"
+    assert str(warning.message) == sentence and warning.filename == __file__
 
 
 def test_times_are_finite() -> None:

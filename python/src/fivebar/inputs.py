@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fivebar import arguments
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, warn
 from fivebar.variables import Variables, shown
 
 Floats = NDArray[np.float64]
@@ -20,6 +20,11 @@ time that returns values by name are allowed too.
 """
 
 TIME = "time"
+
+MUCH_LATER = 100.0
+"""Times of a table beyond this multiple of the stop time are taken for milliseconds, which are 1000 times as many; few runs are so short a
+part of their table.
+"""
 
 
 def sampled(given: Inputs | None, points: Floats, variables: Variables) -> dict[str, Floats]:
@@ -64,14 +69,15 @@ def _of_function(function: Callable[[float], Mapping[str, float]], points: Float
 
 def _of_table(given: Mapping[str, Any], points: Floats) -> dict[str, Floats]:
     shared = given.get(TIME)
-    courses = {}
+    courses: dict[str, Floats] = {}
+    ends: dict[str, float] = {}
     for name, value in given.items():
         if name == TIME:
             continue
         if shared is not None:
             value = (shared, value)
         if isinstance(value, tuple) and len(value) == 2:
-            courses[name] = _joined(name, *value, points)
+            courses[name], ends[name] = _joined(name, *value, points)
             continue
         values = _numbers(name, value)
         if values.shape not in ((), points.shape):
@@ -80,11 +86,17 @@ def _of_table(given: Mapping[str, Any], points: Floats) -> dict[str, Floats]:
                 "a pair (times, values), is needed"
             )
         courses[name] = np.full(len(points), values) if values.shape == () else values
+    for name, end in ends.items():
+        if end > MUCH_LATER * points[-1]:
+            warn(
+                f"the times of input '{name}' end at {end:g} s, but the run at {points[-1]:g} s: are they in milliseconds?"
+            )
+            break
     return courses
 
 
-def _joined(name: str, times: Any, values: Any, points: Floats) -> Floats:
-    """Linear interpolation of values at times, constant before the first and after the last time."""
+def _joined(name: str, times: Any, values: Any, points: Floats) -> tuple[Floats, float]:
+    """Linear interpolation of values at times, constant before the first and after the last time; and the last time, s."""
     at, course = _numbers(f"time of {name}", times), _numbers(name, values)
     if at.ndim != 1 or at.shape != course.shape or not len(at):
         raise FiveBarError(
@@ -96,7 +108,7 @@ def _joined(name: str, times: Any, values: Any, points: Floats) -> Floats:
         raise FiveBarError(f"the times of input '{name}' must increase, but {at[row + 1]} s follows {at[row]} s")
     for row in np.flatnonzero(~np.isfinite(course)):
         raise FiveBarError(f"the input '{name}' must be finite, but is {course[row]} at {at[row]:g} s")
-    return np.interp(points, at, course)
+    return np.interp(points, at, course), float(at[-1])
 
 
 def _numbers(name: str, given: Any) -> Floats:

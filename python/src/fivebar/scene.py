@@ -192,7 +192,7 @@ class Scene:
         Warns
         -----
         MachineWarning
-            If the new start values make a link impossible, or look like degrees or millimetres.
+            If the new start values make a link impossible, or look like degrees or millimetres, or if the times of `inputs` look like milliseconds.
 
         Examples
         --------
