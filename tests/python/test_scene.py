@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,6 +147,31 @@ def test_start_values_in_keywords_are_checked_once(start: Callable[[], object]) 
         start()
     [warning] = caught
     assert warning.filename == __file__
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"rotor.inertia[1]": 1e-3, "rotor.inertia[2]": 1e-3}, "rotor.inertia[1] is 0.001, but no active effect reads it: rotor.enabled is false"),
+        ({"friction.law": "stick"}, "friction.law is stick, but no active effect reads it: friction.enabled is false"),
+        ({"gravity.g": 1.62, "gravity.enabled": False}, "gravity.g is 1.62, but no active effect reads it: gravity.enabled is false"),
+    ],
+)  # fmt: skip
+def test_parameters_of_an_effect_that_is_off_are_named(values: dict[str, Any], sentence: str) -> None:
+    fall = scene.read({"gravity.enabled": True})
+    for start, name in ((lambda: fall.replace(values), "scene"), (lambda: fivebar.Unit(**values), "unit")):
+        with pytest.warns(MachineWarning) as caught:
+            start()
+        [warning] = caught
+        assert str(warning.message) == f"{name}: {sentence}"
+
+
+def test_parameters_that_a_run_reads_or_a_file_has_are_silent() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = scene.read({"rotor.inertia[1]": 1e-3, "overlay": [{"label": "payload", "payload.enabled": True}]})
+        made = made.replace({"payload.mass": 0.2, "rotor.inertia[1]": 1e-3, "servo.kp[1]": made["servo.kp[1]"]})
+        made.replace({"spring.k[1]": 1, "spring.enabled": True})
 
 
 def test_rods_and_masses_at_both_ends_are_possible() -> None:

@@ -149,7 +149,7 @@ def test_overlays_and_changes_start_there_too() -> None:
     )
     motors = np.stack([changed.signals[f"servo.theta[{i}]"] for i in (1, 2)], axis=-1)
     assert machine.forward(motors[-1]).tip == pytest.approx([0.16, 0.24], abs=1e-14)
-    assert scene.coarser(0.01).replace({"payload.mass": 0.02}).signals["servo.theta[1]"].shape == (71,)
+    assert scene.coarser(0.01).replace({"link[1].mass": 0.02}).signals["servo.theta[1]"].shape == (71,)
 
 
 def line(x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:

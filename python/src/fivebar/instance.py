@@ -341,7 +341,7 @@ class Unit(Instance):
     Warns
     -----
     MachineWarning
-        If the start values make a link impossible, or look like degrees or millimetres.
+        If the start values make a link impossible, look like degrees or millimetres, or belong to an effect that is off.
 
     Examples
     --------
@@ -364,7 +364,7 @@ class Unit(Instance):
             self.close()
             raise
         if read is None:
-            scenes.warn_of("unit", library.known, self._elements(values))
+            scenes.warn_of("unit", library.known, [self._elements(values)], {})
 
     @classmethod
     def of(cls, library: "Library | str | Path", name: str = "unit") -> Self:

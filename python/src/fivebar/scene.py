@@ -5,7 +5,7 @@ This module reads, checks and resolves a file, using names, types, bounds and st
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,9 @@ from fivebar.signals import TIP, Signal
 from fivebar.variables import Value, Values, Variable, Variables, meant, of_unit, shown
 
 METHOD, ADAPTIVE = "solver.method", "solver.adaptive"
+
+EFFECTS = ("gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo")
+"""Effects with a switch, such as `gravity.enabled`."""
 
 MOST_POINTS = 1_000_000
 """Largest number of communication points of a run: each has a row of some 150 numbers."""
@@ -192,7 +195,7 @@ class Scene:
         Warns
         -----
         MachineWarning
-            If the new start values make a link impossible, or look like degrees or millimetres, or if the times of `inputs` look like milliseconds.
+            If a value is hardly meant: an impossible link, degrees, millimetres, milliseconds, or a parameter of an effect that is off.
 
         Examples
         --------
@@ -219,7 +222,7 @@ class Scene:
         kept_signals = [name for name in self.signals if name not in moved and name not in commands]
         signals = commands | moved | {name: self._signal(name, points) for name in kept_signals}
         scene_file.check_signals([each for _, each in runs], signals)
-        warn_of(self.name, self.variables, own, before)
+        warn_of(self.name, self.variables, [each for _, each in runs], before)
         return replace(
             self,
             stop_time=stop,
@@ -385,7 +388,7 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
         courses = {signal.variable.name: np.array([signal.at(time) for time in points.tolist()]) for signal in own}
     runs = [(scene_file.method(content.values, variables), content.values), *content.overlays]
     variants, commands = _resolved(runs, content.tip, variables.start, points)
-    warn_of(name, variables, content.values)
+    warn_of(name, variables, [content.values])
     return Scene(
         name=name,
         description=content.description,
@@ -401,12 +404,35 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
     )
 
 
-def warn_of(name: str, variables: Variables, values: Values, before: Values | None = None) -> None:
-    """Gives MachineWarnings about the start values of a scene, except those that the values `before` had as well."""
-    known = [] if before is None else _doubts({**variables.start, **before})
-    for sentence in _doubts({**variables.start, **values}):
-        if sentence not in known:
-            warn(f"{name}: {sentence}")
+def warn_of(name: str, variables: Variables, runs: Sequence[Values], before: Values | None = None) -> None:
+    """Gives MachineWarnings about the values of a scene, of which `runs[0]` is its own run; with `before` only about what has changed since."""
+    values = {**variables.start, **runs[0]}
+    sentences = _doubts(values)
+    if before is not None:
+        known = {**variables.start, **before}
+        changed = [variables[each] for each, value in values.items() if value != known[each]]
+        active = {effect for effect in EFFECTS for run in runs if {**variables.start, **run}[f"{effect}.enabled"]}
+        sentences = [each for each in sentences if each not in _doubts(known)] + _idle(values, changed, active)
+    for sentence in sentences:
+        warn(f"{name}: {sentence}")
+
+
+def _idle(values: Values, changed: Iterable[Variable], active: Collection[str]) -> list[str]:
+    """A sentence for each effect that is off although a parameter of it has changed. The unit itself warns of its inputs."""
+    found: dict[str, str] = {}
+    for variable in changed:
+        effect, value = variable.name.partition(".")[0], values[variable.name]
+        if (
+            effect in EFFECTS
+            and effect not in active
+            and variable.causality == "parameter"
+            and variable.type != "Boolean"
+        ):
+            given = variable.item(int(value)) if variable.type == "Enumeration" else f"{value:g}"
+            found.setdefault(
+                effect, f"{variable.name} is {given}, but no active effect reads it: {effect}.enabled is false"
+            )
+    return list(found.values())
 
 
 def _doubts(values: Mapping[str, Value]) -> list[str]:
