@@ -126,6 +126,32 @@ def test_an_impossible_machine_is_named(values: dict[str, float], sentence: str)
     assert str(warning.message).startswith(f"own: {sentence}") and read.values == values
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"init.theta": (1.5, 2.0)},
+        {"init.theta": np.array([1.5, 2.0])},
+        {"init.theta[1]": np.array(1.5), "init.theta[2]": np.float32(2.0)},
+    ],
+    ids=["tuple", "array", "numbers"],
+)
+def test_arrays_are_start_values_by_their_name(given: dict[str, Any]) -> None:
+    made = scene.read("swing").replace(stop_time=np.array(0.01))
+    for each in (
+        made.replace(**given),
+        scene.read(given),
+        scene.read({"overlay": [{"label": "other", **given}]}).variants[1],
+        fivebar.run(made, **given).scene,
+        fivebar.run_many(made, [given], processes=1, progress=False)[0].scene,
+    ):
+        assert (each.values["init.theta[1]"], each.values["init.theta[2]"]) == (1.5, 2.0)
+    assert made.replace(**given)["init.theta"].tolist() == [1.5, 2.0]
+    with pytest.raises(
+        FiveBarError, match=r"'init.theta' has 2 elements, init.theta\[1\] to init.theta\[2\], but is given 3"
+    ):
+        made.replace(**{"init.theta": (1, 2, 3)})
+
+
 HEAVY_END = {"link[1].com": 5.0}
 
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from fivebar.simulate import OnFailure
     from fivebar.twin.calibrate.calibration import Calibration
     from fivebar.twin.calibrate.motion import Between
-    from fivebar.variables import Value
 
     __version__: str
 
@@ -156,7 +155,7 @@ def run(
     outputs: "str | Iterable[str] | None" = None,
     inputs: "Inputs | None" = None,
     on_failure: "OnFailure" = "raise",
-    **values: "Value | str",
+    **values: Any,
 ) -> "Result":
     """Runs a scene and returns the computed variables at every communication point.
 
@@ -173,12 +172,13 @@ def run(
         times as long as the steps.
     inputs
         Time-varying inputs, constant during each step: a dict from name to a number, values at the communication points, or a pair (times,
-        values) for linear interpolation; a pandas frame with a column or index `time`; or a function of time that returns a dict.
+        values) for linear interpolation; a pandas frame with a column or index `time`; or a function of time that returns a dict. An array
+        without its index, such as `tau`, has a number for each element, or rows of them.
     on_failure
         `"raise"`: a failed step raises `StepFailed`, and its `result` has the run up to the failure. `"return"`: the incomplete result is
         returned, and its `failure` has the reason.
     **values
-        Start values by variable, in the variable's unit, enumerations by the names of their items.
+        Start values by variable, in the variable's unit, enumerations by the names of their items, arrays without their index as a sequence.
 
     Returns
     -------

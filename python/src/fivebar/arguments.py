@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 
 from fivebar.errors import FiveBarError
-from fivebar.variables import is_number, shown
+from fivebar.variables import is_number, plain, shown
 
 
 def number(what: str, given: Any, unit: str = "s") -> float:
     """A number, also of NumPy."""
-    plain = given.item() if isinstance(given, np.generic) else given
-    if not is_number(plain):
+    found = plain(given)
+    if not is_number(found):
         raise FiveBarError(f"'{what}' must be a number in {unit}, not {shown(given)}")
-    return float(plain)
+    return float(found)
 
 
 def count(what: str, given: Any) -> int:

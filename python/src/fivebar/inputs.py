@@ -16,7 +16,7 @@ Inputs = Mapping[str, Any] | Callable[[float], Mapping[str, float]] | Any
 """A mapping from name to a number, to values at the communication points, or to a pair (times, values) for linear interpolation.
 
 With a key `time`, s, all other values belong to these times. A pandas frame with a column or an index `time` and a function of
-time that returns values by name are allowed too.
+time that returns values by name are allowed too. An array without its index has a number for each element, or rows of them.
 """
 
 TIME = "time"
@@ -31,7 +31,10 @@ def sampled(given: Inputs | None, points: Floats, variables: Variables) -> dict[
     """Values of the inputs by name at the communication points, s; each is constant over the following step."""
     if given is None:
         return {}
-    courses = _of_function(given, points) if callable(given) else _of_table(_columns(given), points)
+    if callable(given):
+        courses = _of_function(given, points, variables)
+    else:
+        courses = _of_table(_flat(_columns(given), variables), points)
     for name, values in courses.items():
         variable = variables.get(name)
         if variable is None or variable.type != "Real" or variable.variability != "tunable":
@@ -57,14 +60,36 @@ def _columns(given: Any) -> Mapping[str, Any]:
     return columns
 
 
-def _of_function(function: Callable[[float], Mapping[str, float]], points: Floats) -> dict[str, Floats]:
+def _flat(given: Mapping[str, Any], variables: Variables) -> dict[str, Any]:
+    """The inputs with arrays split into their elements."""
+    found = {}
+    for name, value in given.items():
+        if (elements := variables.arrays.get(name)) is None:
+            found[name] = value
+            continue
+        is_pair = isinstance(value, tuple) and len(value) == 2 and np.ndim(value[0]) > 0
+        rows = _numbers(name, value[1] if is_pair else value, 2)
+        if rows.ndim < 1 + is_pair or rows.shape[-1] != len(elements):
+            raise FiveBarError(
+                f"the input '{name}' has {len(elements)} elements, {elements[0].name} to {elements[-1].name}: a number for each, a row of "
+                f"numbers for each communication point, or a pair (times, rows) is needed, not {shown(value)}"
+            )
+        found |= {v.name: (value[0], column) if is_pair else column for v, column in zip(elements, rows.T, strict=True)}
+    return found
+
+
+def _of_function(
+    function: Callable[[float], Mapping[str, Any]], points: Floats, variables: Variables
+) -> dict[str, Floats]:
     rows = [function(time) for time in points.tolist()]
     for time, row in zip(points.tolist(), rows):
         if not isinstance(row, Mapping) or row.keys() != rows[0].keys():
             raise FiveBarError(
                 f"the function of inputs must return a dict with the same names at all times, but returned {shown(row)} at {time:g} s"
             )
-    return {name: _numbers(name, [row[name] for row in rows]) for name in arguments.values("inputs", rows[0])}
+    arguments.values("inputs", rows[0])
+    flat = [variables.flat(row) for row in rows]
+    return {name: _numbers(name, [row[name] for row in flat]) for name in flat[0]}
 
 
 def _of_table(given: Mapping[str, Any], points: Floats) -> dict[str, Floats]:
@@ -98,7 +123,11 @@ def _of_table(given: Mapping[str, Any], points: Floats) -> dict[str, Floats]:
 def _joined(name: str, times: Any, values: Any, points: Floats) -> tuple[Floats, float]:
     """Linear interpolation of values at times, constant before the first and after the last time; and the last time, s."""
     at, course = _numbers(f"time of {name}", times), _numbers(name, values)
-    if at.ndim != 1 or at.shape != course.shape or not len(at):
+    if at.ndim != 1 or course.ndim != 1:
+        raise FiveBarError(
+            f"the input '{name}' must be a number, values at the communication points, or a pair of lists (times, values), not {shown((times, values))}"
+        )
+    if at.shape != course.shape or not len(at):
         raise FiveBarError(
             f"the input '{name}' has {course.size} values but {at.size} values of time: the counts must be equal"
         )
@@ -111,8 +140,13 @@ def _joined(name: str, times: Any, values: Any, points: Floats) -> tuple[Floats,
     return np.interp(points, at, course), float(at[-1])
 
 
-def _numbers(name: str, given: Any) -> Floats:
-    values = np.asarray(given)
-    if values.dtype.kind not in "iuf" or values.ndim > 1:
+def _numbers(name: str, given: Any, dimensions: int = 1) -> Floats:
+    """The numbers as an array of at most so many dimensions."""
+    try:
+        values = np.asarray(given)
+    except ValueError:
+        # Rows of different lengths.
+        values = np.asarray(None)
+    if values.dtype.kind not in "iuf" or values.ndim > dimensions:
         raise FiveBarError(f"the input '{name}' must have one number for each time, not {shown(given)}")
     return values.astype(np.float64)

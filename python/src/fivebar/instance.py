@@ -13,8 +13,7 @@ at 0.100 s the tip is at 0.1494, 0.3183 m
 import threading
 import weakref
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Iterable, Mapping
 from ctypes import CDLL, byref, c_double, c_size_t, c_void_p, create_string_buffer
 from pathlib import Path
 from types import TracebackType
@@ -161,11 +160,8 @@ class Instance:
 
     def _elements(self, values: Mapping[str, Any]) -> dict[str, Value]:
         """Numbers of variables and of all elements of arrays, by the variable's name."""
-        found: dict[str, Value] = {}
-        for name, given in arguments.values("values", values).items():
-            elements = self.library.elements(name)
-            found |= zip((v.name for v in elements), _numbers(name, elements, given), strict=True)
-        return found
+        flat = self.library.known.flat(arguments.values("values", values))
+        return {name: self.library.elements(name)[0].number(given) for name, given in flat.items()}
 
     def write(self, block: Block, numbers: Iterable[Value]) -> None:
         """Sets the variables of a block; enumerations are numbers.
@@ -850,19 +846,6 @@ class State:
 def _are_floats(values: Any) -> bool:
     """Whether these are floats by name, which need no conversion."""
     return type(values) is dict and all(type(value) is float for value in values.values())
-
-
-def _numbers(name: str, elements: Sequence[Variable], given: Any) -> list[Value]:
-    """The numbers for a variable or the elements of an array, from a given value."""
-    if len(elements) == 1 and elements[0].name == name:
-        return [elements[0].number(given)]
-    values = None if isinstance(given, (str, AbstractSet, Mapping)) or not isinstance(given, Iterable) else list(given)
-    if values is None or len(values) != len(elements):
-        found = "one" if values is None else len(values)
-        raise FiveBarError(
-            f"'{name}' has {len(elements)} elements, {elements[0].name} to {elements[-1].name}, but is given {found}"
-        )
-    return [variable.number(value) for variable, value in zip(elements, values, strict=True)]
 
 
 def _value(variable: Variable, number: Value) -> Value | str:

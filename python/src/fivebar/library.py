@@ -1,7 +1,6 @@
 """An extracted .fmu: its model description and loaded library, shared by any number of instances."""
 
 import os
-import re
 import shutil
 import threading
 import weakref
@@ -19,9 +18,6 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 from fivebar import shipped
 from fivebar.errors import FiveBarError
 from fivebar.variables import Variable, Variables, description, shown, similar
-
-INDEX = re.compile(r"\[\d+\]")
-"""The index in a name."""
 
 TYPES: dict[str, Any] = {"Real": c_double, "Integer": c_int, "Boolean": c_int}
 """C types of values by FMI type."""
@@ -136,19 +132,9 @@ class Library:
         return self.variables[name]
 
     @cached_property
-    def arrays(self) -> dict[str, tuple[Variable, ...]]:
-        """Elements of each array by its name without index: `theta` has `theta[1]` and `theta[2]`."""
-        found: dict[str, tuple[Variable, ...]] = {}
-        for name, variable in self.known.items():
-            if INDEX.search(name) and not name.startswith("der("):
-                array = INDEX.sub("", name)
-                found[array] = (*found.get(array, ()), variable)
-        return found
-
-    @cached_property
     def units(self) -> dict[str, str]:
         """Units by name, for variables and arrays."""
-        of_arrays = {name: elements[0].unit for name, elements in self.arrays.items()}
+        of_arrays = {name: elements[0].unit for name, elements in self.known.arrays.items()}
         return of_arrays | {name: variable.unit for name, variable in self.known.items()}
 
     def elements(self, name: str) -> tuple[Variable, ...]:
@@ -161,7 +147,7 @@ class Library:
 
     @cached_property
     def _elements(self) -> dict[str, tuple[Variable, ...]]:
-        return {name: (variable,) for name, variable in self.known.items()} | self.arrays
+        return {name: (variable,) for name, variable in self.known.items()} | self.known.arrays
 
     def blocks(self, names: tuple[str, ...]) -> tuple[Block, ...]:
         """The named variables in blocks, one for each type."""

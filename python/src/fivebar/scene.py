@@ -114,8 +114,13 @@ class Scene:
         """Start values of the scene's own run that differ from the unit's."""
         return self.variants[0].values
 
-    def __getitem__(self, name: str) -> Value:
-        """The scene's value of a variable, or else the unit's start value. Raises FiveBarError if the unit has no such start value."""
+    def __getitem__(self, name: str) -> Any:
+        """The scene's value of a variable, or else the unit's start value; an array by its name without index has the shape (n,).
+
+        Raises FiveBarError if the unit has no such start value.
+        """
+        if name in self.variables.arrays:
+            return np.array([self[variable.name] for variable in self.variables.arrays[name]])
         return self.values.get(name, self.start[self.variables.settable(name).name])
 
     @property
@@ -173,8 +178,8 @@ class Scene:
         Parameters
         ----------
         values, **more
-            Start values by the variable's name, as a dict or as `**{"link[1].mass": 0.02}`; enumerations by the names of their items. Overlays
-            keep their own changes.
+            Start values by the variable's name, as a dict or as `**{"link[1].mass": 0.02}`; enumerations by the names of their items, arrays
+            without their index as a sequence. Overlays keep their own changes.
         method
             An item of `solver.method`.
         stop_time, step_size
@@ -206,7 +211,7 @@ class Scene:
         """
         given = {**({} if values is None else arguments.values("values", values)), **more}
         given |= {} if method is None else {METHOD: method}
-        new = {name: self._settable(name).value(value) for name, value in given.items()}
+        new = {name: self._settable(name).value(value) for name, value in self.variables.flat(given).items()}
         stop = self.stop_time if stop_time is None else scene_file.seconds("stop_time", stop_time)
         step = self.step_size if step_size is None else scene_file.seconds("step_size", step_size)
         points = communication_points(stop, step)
@@ -328,12 +333,15 @@ def communication_points(stop_time: float, step_size: float) -> NDArray[np.float
 
 def read(given: "str | Path | Mapping[str, Any] | Scene", variables: Variables | None = None) -> Scene:
     """A scene for a unit with the variables `known`, from the name of a shipped scene, a file that ends in .json, or the content of such a
-    file, possibly without description. A `Scene` is returned as it is.
+    file, possibly without description and with arrays by their names without index. A `Scene` is returned as it is.
     """
     if isinstance(given, Scene):
         return given
     if isinstance(given, Mapping):
-        content = {scene_file.DESCRIPTION: "A scene given in Python."} | dict(given)
+        variables = variables or of_unit()
+        content = {scene_file.DESCRIPTION: "A scene given in Python."} | variables.flat(given)
+        if isinstance(runs := content.get(scene_file.OVERLAY), list):
+            content[scene_file.OVERLAY] = [variables.flat(run) if isinstance(run, Mapping) else run for run in runs]
         return parse("scene", json.dumps(content, default=_plain), variables)
     return of_file(found(given), variables)
 

@@ -7,12 +7,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fivebar import encoding, signals, tip_scenes
 from fivebar.errors import FiveBarError
 from fivebar.signals import Signal
-from fivebar.variables import Value, Values, Variables, shown, similar
+from fivebar.variables import Value, Values, Variables, is_number, plain, shown, similar
 
 LARGEST = 4_000_000
 """Largest size of a file, bytes."""
@@ -194,7 +192,8 @@ def _experiment(content: Mapping[str, Any], variables: Variables) -> tuple[float
 
 def seconds(key: str, given: Any) -> float:
     """A stop time or a step, s."""
-    if not isinstance(given, (int, float, np.number)) or isinstance(given, bool) or not given > 0:
+    given = plain(given)
+    if not is_number(given) or not given > 0:
         raise FiveBarError(f"'{key}' must be a positive number of seconds, not {shown(given)}")
     return float(given)
 

@@ -7,6 +7,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -30,6 +31,9 @@ MOST_ALIKE = 3
 
 MOST_KNOWN = 6
 """Largest number of known names in a message if none is similar."""
+
+INDEX = re.compile(r"\[\d+\]")
+"""The index in a name."""
 
 INTEGERS = -(2**31), 2**31 - 1
 """Range of integers in FMI."""
@@ -62,7 +66,7 @@ class Variable:
 
     def value(self, given: Any) -> Value:
         """Checks a number, a Boolean or the name of an item, also of NumPy, and converts it to a value for calls."""
-        given = given.item() if isinstance(given, np.generic) else given
+        given = plain(given)
         if self.type == "Real":
             wanted = f"a number in {self.unit}{self._limits(self.least, self.most)}"
             if is_number(given) and self._within(float(given)):
@@ -138,6 +142,26 @@ class Variables(Mapping[str, Variable]):
     def computed(self) -> tuple[str, ...]:
         """Names of computed variables: outputs and local variables, without `der(...)`, which are aliases."""
         return tuple(v.name for v in self.values() if not v.can_be_set and not v.name.startswith("der("))
+
+    @cached_property
+    def arrays(self) -> dict[str, tuple[Variable, ...]]:
+        """Elements of each array by its name without index: `theta` has `theta[1]` and `theta[2]`."""
+        found: dict[str, tuple[Variable, ...]] = {}
+        for name, variable in self.items():
+            if INDEX.search(name) and not name.startswith("der("):
+                array = INDEX.sub("", name)
+                found[array] = (*found.get(array, ()), variable)
+        return found
+
+    def flat(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Values by name, arrays split into their elements: `tau` becomes `tau[1]` and `tau[2]`. Other names stay."""
+        found: dict[str, Any] = {}
+        for name, value in given.items():
+            if (elements := self.arrays.get(name)) is None:
+                found[name] = value
+            else:
+                found |= zip((v.name for v in elements), _split(name, elements, value), strict=True)
+        return found
 
     def settable(self, name: str, others: Iterable[str] = ()) -> Variable:
         """The parameter or input of this name; `others` are further suggestions for a misspelt name."""
@@ -222,6 +246,23 @@ def _variable(variable: "ScalarVariable") -> Variable:
 def unit(variable: "ScalarVariable") -> str:
     """The unit of a variable, "1" if it has none."""
     return variable.unit or getattr(variable.declaredType, "unit", None) or "1"
+
+
+def _split(name: str, elements: Sequence[Variable], given: Any) -> list[Any]:
+    """The values for the elements of an array."""
+    given = plain(given)
+    values = None if isinstance(given, (str, AbstractSet, Mapping)) or not isinstance(given, Iterable) else list(given)
+    if values is None or len(values) != len(elements):
+        found = "one" if values is None else len(values)
+        raise FiveBarError(
+            f"'{name}' has {len(elements)} elements, {elements[0].name} to {elements[-1].name}, but is given {found}"
+        )
+    return values
+
+
+def plain(given: Any) -> Any:
+    """A scalar of NumPy, also an array without dimensions, as a value of Python; all others as they are."""
+    return given.item() if isinstance(given, (np.generic, np.ndarray)) and given.ndim == 0 else given
 
 
 def is_number(given: Any) -> bool:
