@@ -109,8 +109,11 @@ def inner() -> Callable[[Result], Any]:
     ("arguments", "sentence"),
     [
         ({"scene": None}, "'scene' must be a scene or a list of scenes, not null"),
-        ({"values": {"link[1].mass": 1.0}}, r"'values' must be a list of dicts, one for each run, not \{"),
-        ({"values": 3}, "'values' must be a list of dicts, one for each run, not 3"),
+        (
+            {"values": {"link[1].mass": 1.0}},
+            r"'values' must be a list of dicts or a frame of pandas, one dict or row for each run, not \{",
+        ),
+        ({"values": 3}, "'values' must be a list of dicts or a frame of pandas, one dict or row for each run, not 3"),
         ({"processes": "x"}, "'processes' must be a whole number of at least 1, not \"x\""),
         ({"processes": 1.5}, "'processes' must be a whole number of at least 1, not 1.5"),
         ({"reduce": 3}, "'reduce' must be a function of a result, not 3"),

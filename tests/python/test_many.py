@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 import pytest
 
 import fivebar
@@ -47,6 +48,15 @@ def test_scenes_and_reductions() -> None:
     assert len({place for place, _ in found}) == 3 and os.getpid() not in {process for _, process in found}
     here = fivebar.run_many(scenes, MASSES, reduce=end, processes=1, progress=False, stop_time=0.05)
     assert [place for place, _ in here] == [place for place, _ in found] and {p for _, p in here} == {os.getpid()}
+
+
+def test_each_row_of_a_frame_is_a_run() -> None:
+    frame = pandas.DataFrame(
+        {"link[1].mass": [0.01, 0.02], "payload.enabled": [True, False], "friction.law": "smooth"}, index=[5, 7]
+    )
+    found = fivebar.run_many("swing", frame, processes=1, progress=False, stop_time=0.01, outputs="tip.x")
+    wanted = [(0.01, True), (0.02, False)]
+    assert [(run.scene["link[1].mass"], run.scene["payload.enabled"]) for run in found] == wanted
 
 
 @pytest.mark.parametrize("processes", [1, 2])

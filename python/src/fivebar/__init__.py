@@ -209,7 +209,7 @@ def run(
 
 def run_many(
     scene: "Given | Iterable[Given]",
-    values: "Sequence[Mapping[str, Any]] | None" = None,
+    values: "Sequence[Mapping[str, Any]] | Any | None" = None,
     *,
     method: str | None = None,
     stop_time: float | None = None,
@@ -230,7 +230,7 @@ def run_many(
     scene
         A scene as `run` takes it, or a list of scenes.
     values
-        A dict of start values for each run; with a list of scenes, one for each scene.
+        A dict of start values for each run, or a frame of pandas with a row for each run; with a list of scenes, one for each scene.
     method, stop_time, step_size, outputs, inputs
         As for `run`, the same for all runs. Set different inputs in the scenes: `scene.replace(inputs=...)`.
     on_failure

@@ -32,7 +32,7 @@ Outcome = tuple[int, FiveBarError | None, Any]
 
 def run_many(
     given: Given | Iterable[Given],
-    values: Sequence[Mapping[str, Any]] | None,
+    values: Any,
     changes: Mapping[str, Any],
     outputs: str | Iterable[str] = (),
     reduce: Reduce | None = None,
@@ -79,16 +79,18 @@ def _check_reduction(reduce: Reduce | None, count: int) -> None:
             ) from None
 
 
-def _scenes(
-    given: Given | Iterable[Given], values: Sequence[Mapping[str, Any]] | None, changes: Mapping[str, Any]
-) -> list[Scene]:
+def _scenes(given: Given | Iterable[Given], values: Any, changes: Mapping[str, Any]) -> list[Scene]:
     """One scene per run, ready to be sent to a process."""
     one = isinstance(given, (str, Path, Mapping, Scene))
     if not one and not isinstance(given, Iterable):
         raise FiveBarError(f"'scene' must be a scene or a list of scenes, not {shown(given)}")
     bases = [scenes.read(given)] if one else [scenes.read(each) for each in given]  # type: ignore[union-attr,arg-type]
+    if hasattr(values, "columns") and hasattr(values, "index"):
+        values = values.to_dict("records")
     if values is not None and (isinstance(values, Mapping) or not isinstance(values, Iterable)):
-        raise FiveBarError(f"'values' must be a list of dicts, one for each run, not {shown(values)}")
+        raise FiveBarError(
+            f"'values' must be a list of dicts or a frame of pandas, one dict or row for each run, not {shown(values)}"
+        )
     overrides = [{}] * len(bases) if values is None else list(values)
     if one:
         bases *= len(overrides)
