@@ -152,6 +152,36 @@ def test_arrays_are_start_values_by_their_name(given: dict[str, Any]) -> None:
         made.replace(**{"init.theta": (1, 2, 3)})
 
 
+def test_scenes_are_read_as_they_were_written(tmp_path: Path) -> None:
+    """Shipped scenes with knots, overlays and the tip's coordinates, and inputs given in Python; offsets, name and description."""
+    pushed = scene.read("swing").replace(
+        stop_time=0.1, inputs={"tau": np.random.default_rng(1).normal(size=(101, 2)), "payload.mass": 0.02}
+    )
+    pushed = replace(pushed, offsets={"encoder.offset[1]": 0.01}).replace(
+        name="mine", description="My machine.", method="i3alp"
+    )
+    for made in (*map(scene.read, shipped.scene_files()), pushed, pushed.replace(step_size=5e-4)):
+        again = scene.read(made.write(tmp_path / f"{made.name}.json"))
+        assert again.resolved() == made.resolved() and again.offsets == made.offsets
+        assert again.with_method().variants == made.with_method().variants
+        assert again.knots.keys() >= made.knots.keys() and again.tip == made.tip
+    assert (again.name, again.description) == ("mine", "My machine.")
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda made: made.write("mine.txt"), "'file' must end in .json, not \"mine.txt\""),
+        (lambda made: made.replace(name="a/b"), "'name' must be a name of a file without its folder, not \"a/b\""),
+        (lambda made: made.replace(description=3), "'description' must be a text, not 3"),
+    ],
+)
+def test_names_of_scenes_are_checked(call: Callable[[scene.Scene], object], sentence: str) -> None:
+    with pytest.raises(FiveBarError) as refused:
+        call(scene.read("swing"))
+    assert str(refused.value) == sentence
+
+
 HEAVY_END = {"link[1].com": 5.0}
 
 

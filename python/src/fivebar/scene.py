@@ -17,7 +17,7 @@ from fivebar import arguments, links, scene_file, shipped, tip_scenes
 from fivebar.errors import FiveBarError, warn
 from fivebar.inputs import Inputs, sampled
 from fivebar.kinematics import Working
-from fivebar.signals import TIP, Signal
+from fivebar.signals import STEPS, TIP, Signal, written
 from fivebar.variables import Value, Values, Variable, Variables, meant, of_unit, shown
 
 METHOD, ADAPTIVE = "solver.method", "solver.adaptive"
@@ -171,9 +171,11 @@ class Scene:
         stop_time: float | None = None,
         step_size: float | None = None,
         inputs: Inputs | None = None,
+        name: str | None = None,
+        description: str | None = None,
         **more: Any,
     ) -> "Scene":
-        """The scene with another method, stop time, step, inputs or start values, all checked as in a file.
+        """The scene with another method, stop time, step, inputs, name, description or start values, all checked as in a file.
 
         Parameters
         ----------
@@ -186,6 +188,8 @@ class Scene:
             Stop time and communication step, s.
         inputs
             Inputs as for `fivebar.run`; they replace the scene's signals and values of these inputs.
+        name, description
+            Name and description in summary, page and files.
 
         Returns
         -------
@@ -211,30 +215,32 @@ class Scene:
         """
         given = {**({} if values is None else arguments.values("values", values)), **more}
         given |= {} if method is None else {METHOD: method}
-        new = {name: self._settable(name).value(value) for name, value in self.variables.flat(given).items()}
+        new = {each: self._settable(each).value(value) for each, value in self.variables.flat(given).items()}
         stop = self.stop_time if stop_time is None else scene_file.seconds("stop_time", stop_time)
         step = self.step_size if step_size is None else scene_file.seconds("step_size", step_size)
         points = communication_points(stop, step)
         moved = sampled(inputs, points, self.variables)
         before = self._unplaced(self.values)
-        own = {name: value for name, value in before.items() if name not in moved} | new
+        own = {each: value for each, value in before.items() if each not in moved} | new
         runs = [(scene_file.method(own, self.variables), own)]
         for overlay in self.variants[1:]:
-            kept = {name: value for name, value in self._unplaced(overlay.values).items() if before.get(name) != value}
-            runs.append((overlay.label, own | {name: value for name, value in kept.items() if name not in moved}))
+            kept = {each: value for each, value in self._unplaced(overlay.values).items() if before.get(each) != value}
+            runs.append((overlay.label, own | {each: value for each, value in kept.items() if each not in moved}))
         scene_file.check_labels([label for label, _ in runs])
         variants, commands = _resolved(runs, self.tip, self.start, points)
-        kept_signals = [name for name in self.signals if name not in moved and name not in commands]
-        signals = commands | moved | {name: self._signal(name, points) for name in kept_signals}
+        kept_signals = [each for each in self.signals if each not in moved and each not in commands]
+        signals = commands | moved | {each: self._signal(each, points) for each in kept_signals}
         scene_file.check_signals([each for _, each in runs], signals)
         warn_of(self.name, self.variables, [each for _, each in runs], before)
         return replace(
             self,
+            name=self.name if name is None else scene_file.name(name),
+            description=self.description if description is None else scene_file.described(description),
             stop_time=stop,
             step_size=step,
             variants=variants,
             signals=signals,
-            knots={name: signal for name, signal in self.knots.items() if name not in moved},
+            knots={each: signal for each, signal in self.knots.items() if each not in moved},
             assumed={
                 what: note
                 for what, note in self.assumed.items()
@@ -294,6 +300,68 @@ class Scene:
             return values
         free = {name: value for name, value in values.items() if name not in tip_scenes.START}
         return free if self.tip.placed(free, self.start) == values else values
+
+    def write(self, file: str | Path) -> Path:
+        """Writes the scene as a file, which `fivebar run`, `fivebar unit --scene` and `Scene.read` take.
+
+        Inputs given in Python are written as steps, one for each change of the value.
+
+        Parameters
+        ----------
+        file : str or pathlib.Path
+            The file; it ends in .json, and its name is the scene's name when it is read.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Raises
+        ------
+        FiveBarError
+            If the file does not end in .json, or the scene would be too large.
+
+        Examples
+        --------
+        >>> from fivebar import Scene
+        >>> file = Scene.read("swing").replace(**{"link[1].mass": 0.02}).write("heavy.json")
+        >>> Scene.read(file)["link[1].mass"]
+        0.02
+        """
+        if (path := Path(file)).suffix != ".json":
+            raise FiveBarError(f"'file' must end in .json, not {shown(str(file))}")
+        write_content(path, self._content())
+        return path
+
+    def _content(self) -> dict[str, Any]:
+        """The content of the scene's file."""
+        own, *others = (self._unplaced(variant.values) for variant in self.variants)
+        found: dict[str, Any] = {
+            scene_file.DESCRIPTION: self.description,
+            scene_file.EXPERIMENT: {"stopTime": self.stop_time, "stepSize": self.step_size},
+            **self._written(own),
+            **self.offsets,
+            **(self.tip.content() if self.tip else {}),
+        }
+        signals = written({**self.knots, **(self.tip.signals if self.tip else {})})
+        follows = self.tip.follows if self.tip else ()
+        for name, values in self.signals.items():
+            if name not in signals and name not in follows:
+                rows = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values) - 1]
+                signals[name] = {STEPS: [[float(self.time[row]), float(values[row])] for row in dict.fromkeys(rows)]}
+        if signals:
+            found[scene_file.SIGNALS] = signals
+        if others:
+            changes = ({name: value for name, value in run.items() if own.get(name) != value} for run in others)
+            found[scene_file.OVERLAY] = [
+                {scene_file.LABEL: variant.label, **self._written(run)}
+                for variant, run in zip(self.variants[1:], changes, strict=True)
+            ]
+        return found
+
+    def _written(self, values: Values) -> dict[str, Value | str]:
+        """Values as in a file."""
+        return {name: self.variables[name].given(value) for name, value in values.items()}
 
     def resolved(self) -> dict[str, Any]:
         """The completely resolved scene, as values for JSON.
@@ -436,7 +504,7 @@ def _idle(values: Values, changed: Iterable[Variable], active: Collection[str]) 
             and variable.causality == "parameter"
             and variable.type != "Boolean"
         ):
-            given = variable.item(int(value)) if variable.type == "Enumeration" else f"{value:g}"
+            given = variable.given(value) if variable.type == "Enumeration" else f"{value:g}"
             found.setdefault(
                 effect, f"{variable.name} is {given}, but no active effect reads it: {effect}.enabled is false"
             )
@@ -478,7 +546,7 @@ def content(
             continue
         variable = variables.settable(name)
         if value != variable.start:
-            found[name] = variable.item(int(value)) if variable.type == "Enumeration" else value
+            found[name] = variable.given(value)
     if working is not None:
         found[tip_scenes.WORKING] = list(working)
     if signals:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import unicodedata
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -165,6 +166,19 @@ def _text(key: str, content: Mapping[str, Any]) -> str:
     if not isinstance(given, str) or not given.strip():
         raise FiveBarError(f"'{key}' must be a text, not {shown(given)}")
     return given
+
+
+def described(given: Any) -> str:
+    """A description."""
+    return _text(DESCRIPTION, {DESCRIPTION: given})
+
+
+def name(given: Any) -> str:
+    """A name of a scene, which names files."""
+    found = _text("name", {"name": given})
+    if not found.strip(". ") or re.search(r"[/\\:]", found):
+        raise FiveBarError(f"'name' must be a name of a file without its folder, not {shown(given)}")
+    return found
 
 
 def _is_no_text(c: str) -> bool:

@@ -86,6 +86,22 @@ def read(given: Any, variables: Variables) -> list[Signal]:
     return found
 
 
+def written(found: Mapping[str, Signal]) -> dict[str, Any]:
+    """The signals by name as in a file. A rate is left out if the signal that it is the derivative of is not there."""
+    knots = {
+        name: {signal.kind: [[time + (EARLY if signal.kind == STEPS else 0.0), value] for time, value in signal.knots]}
+        for name, signal in found.items()
+        if not signal.rate
+    }
+    rates = {}
+    for name, signal in found.items():
+        for source in knots:
+            unit = f"{found[source].variable.unit}/s"
+            if signal.rate and found[source].knots == signal.knots and signal.variable.unit == unit:
+                rates[name] = {RATE_OF: source}
+    return knots | rates
+
+
 def may_move(variable: Variable) -> bool:
     """Whether a variable may have a signal."""
     return variable.name in TIP or variable.causality == "input" or _takes_steps(variable)

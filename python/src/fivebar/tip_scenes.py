@@ -59,6 +59,11 @@ class Tip:
         """Inputs that follow from the signals."""
         return (*SERVO_ANGLES, *SERVO_RATES) if self.signals else ()
 
+    def content(self) -> dict[str, Any]:
+        """The keys in a file, without signals."""
+        working = {} if self.working is None else {WORKING: list(self.working)}
+        return {**self.start, **working, **({} if self.assembly is None else {ASSEMBLY: self.assembly})}
+
     def placed(self, values: Values, unit: Mapping[str, Value]) -> Values:
         """The values of a run with initial angles from the tip position, unless given; `unit` has the unit's start values."""
         if any(name in values for name in START[:2]):

@@ -100,6 +100,10 @@ class Variable:
         """The name of an item of an enumeration."""
         return next(name for name, value in self.items.items() if value == number)
 
+    def given(self, value: Value) -> Value | str:
+        """A value of a call as users give it: enumerations by the names of their items."""
+        return self.item(int(value)) if self.type == "Enumeration" else value
+
     def _within(self, value: float) -> bool:
         return (
             not math.isnan(value)
