@@ -80,6 +80,7 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
         (["run", "swing", "--fmu", __file__], f"fivebar run: {__file__} is not an .fmu: a ZIP archive with"),
         (["ensemble", "--vary", "foo=1"], "fivebar ensemble: foo cannot be varied: foo is not a parameter of the machine; "),
         (["run", "swing", "--out", "/proc/nowhere"], "fivebar run: out is /proc/nowhere; a folder that exists or can be made is needed: "),
+        (["run", "swing", "--out", ""], "fivebar run: Invalid value for '--out' / '-o': '' names no file or folder; "),
         (["replay", "none"], "fivebar replay: there is no record at none"),
         (["calibrate"], "fivebar calibrate: a FILE is needed"),
         (["ensemble", "--scene", "swing", "--state", "x"], "fivebar ensemble: --scene and --state are both given; one start is needed"),

@@ -366,7 +366,7 @@ def test_stop_time_and_step_by_the_command(fmu: Path, tmp_path: Path) -> None:
     assert [row.partition(",")[0] for row in rows] == ["0.0", "0.01", "0.02", "0.03", "0.04", "0.05"]
     refused = run(fmu, tmp_path, SHORT, "--stop-time", "-1")
     assert refused.returncode == 2
-    assert refused.stderr == "fivebar run: 'stop_time' must be a positive number of seconds, not -1.0\n"
+    assert refused.stderr.startswith("fivebar run: Invalid value for '--stop-time': -1.0 is not in the range x>0; ")
 
 
 def test_a_scene_that_names_no_method_runs_by_automatic(fmu: Path, tmp_path: Path) -> None:
@@ -440,7 +440,12 @@ def test_a_result_in_python_is_a_mapping_of_columns(fmu: Path) -> None:
             lambda: fivebar.run(["swing"]),  # type: ignore[arg-type]
             "a scene is a name, a file that ends in .json, the content of one as a dict, or a fivebar.Scene, not [",
         ),
-        (lambda: fivebar.run({"tau": 0.1}), "there is no variable 'tau'; did you mean 'tau[2]' or 'tau[1]'"),
+        (
+            lambda: fivebar.run({"stopTime": 1}),
+            "'stopTime' is not a variable: in Python use the arguments stop_time and step_size, s; in a scene's file stopTime and stepSize belong under 'experiment'",
+        ),
+        (lambda: fivebar.run({"tau": 0.1}), "'tau' has 2 elements, tau[1] to tau[2], but is given one"),
+        (lambda: fivebar.run({"tauu": 0.1}), "there is no variable 'tauu'; did you mean 'tau[2]' or 'tau[1]'"),
         (lambda: fivebar.run({"tau[1]": {1}}), "a scene has numbers, texts, lists and dicts, not "),
         (lambda: fivebar.run("swing", stop_time=-1), "'stop_time' must be a positive number of seconds, not -1"),
         (lambda: fivebar.run("swing", step_size="1"), "'step_size' must be a positive number of seconds, not \"1\""),  # type: ignore[arg-type]

@@ -152,6 +152,11 @@ def test_arrays_are_start_values_by_their_name(given: dict[str, Any]) -> None:
         made.replace(**{"init.theta": (1, 2, 3)})
 
 
+def test_an_enumeration_is_the_name_of_its_item() -> None:
+    made = scene.read({"friction.law": "stick"})
+    assert (made["friction.law"], made["contact.law"], made["gravity.enabled"]) == ("stick", "smooth", True)
+
+
 def test_scenes_are_read_as_they_were_written(tmp_path: Path) -> None:
     """Shipped scenes with knots, overlays and the tip's coordinates, and inputs given in Python; offsets, name and description."""
     pushed = scene.read("swing").replace(

@@ -368,6 +368,14 @@ def test_arrays_are_sequences(given: object) -> None:
         unit["tau[1]"] = np.array([1.0, 2.0])
 
 
+def test_a_unit_is_described_and_has_its_names() -> None:
+    with Unit("swing") as unit, Unit() as bare:
+        unit.step(0.25)
+        assert (repr(unit), repr(bare)) == ("<fivebar.Unit of swing, at 0.25 s>", "<fivebar.Unit, at 0 s>")
+        assert "tip.x" in unit and "tau" in unit and "tip" not in unit and 0 not in unit
+    assert repr(unit) == "<fivebar.Unit of swing, closed>"
+
+
 def test_an_assignment_reaches_the_unit_or_is_refused() -> None:
     with Unit() as unit:
         with pytest.raises(ValueError, match="read-only"):

@@ -403,6 +403,10 @@ class Unit(Instance):
         self._spare: list[c_void_p] = []
         """Handles of states that are no longer referenced; new states overwrite them."""
 
+    def __repr__(self) -> str:
+        scene = "" if self._scene is None else f" of {self._scene.name}"
+        return f"<fivebar.Unit{scene}, {'closed' if self._component is None else f'at {self._time:g} s'}>"
+
     # --- variables --------------------------------------------------------------------------------------------------------------
 
     @property
@@ -501,6 +505,9 @@ class Unit(Instance):
 
     def __getitem__(self, name: str) -> Any:
         return self.get(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.library.known or name in self.library.known.arrays
 
     def ramp(self, rates: Mapping[str, Any]) -> None:
         """Lets inputs change linearly during the next step; after it they are constant again.

@@ -112,7 +112,7 @@ def mode_of(scene: Scene) -> Working:
     """The initial working mode of a scene."""
     machine = Machine.from_scene(scene)
     motors = [float(scene[f"init.theta[{i}]"]) for i in (1, 2)]
-    left, right = machine.forward(motors, "minus" if scene["init.assembly"] == 2 else "plus").working.tolist()
+    left, right = machine.forward(motors, scene["init.assembly"]).working.tolist()
     return left, right
 
 

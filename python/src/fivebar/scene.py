@@ -115,13 +115,16 @@ class Scene:
         return self.variants[0].values
 
     def __getitem__(self, name: str) -> Any:
-        """The scene's value of a variable, or else the unit's start value; an array by its name without index has the shape (n,).
+        """The scene's value of a variable, or else the unit's start value.
+
+        An enumeration is the name of its item; an array by its name without index has the shape (n,).
 
         Raises FiveBarError if the unit has no such start value.
         """
         if name in self.variables.arrays:
             return np.array([self[variable.name] for variable in self.variables.arrays[name]])
-        return self.values.get(name, self.start[self.variables.settable(name).name])
+        variable = self.variables.settable(name)
+        return variable.given(self.values.get(name, self.start[name]))
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -215,7 +218,10 @@ class Scene:
         """
         given = {**({} if values is None else arguments.values("values", values)), **more}
         given |= {} if method is None else {METHOD: method}
-        new = {each: self._settable(each).value(value) for each, value in self.variables.flat(given).items()}
+        new = {
+            each: scene_file.settable(each, self.variables).value(value)
+            for each, value in self.variables.flat(given).items()
+        }
         stop = self.stop_time if stop_time is None else scene_file.seconds("stop_time", stop_time)
         step = self.step_size if step_size is None else scene_file.seconds("step_size", step_size)
         points = communication_points(stop, step)
@@ -270,15 +276,6 @@ class Scene:
             return self
         note = f"automatic: it has no '{METHOD}'"
         return replace(self.replace(method="automatic"), assumed={**self.assumed, "method": note})
-
-    def _settable(self, name: str) -> Variable:
-        """The parameter or input with this name."""
-        if name.replace("_", "").lower() in (key.lower() for key in scene_file.SECONDS):
-            raise FiveBarError(
-                f"{name!r} is not a variable: in Python use the arguments stop_time and step_size, s; in a scene's file stopTime and stepSize "
-                f"belong under '{scene_file.EXPERIMENT}'"
-            )
-        return self.variables.settable(name)
 
     def _signal(self, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """A signal at other communication points; without knots it is constant between samples. Refuses points after the last sample."""

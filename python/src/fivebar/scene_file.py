@@ -11,7 +11,7 @@ from typing import Any
 from fivebar import encoding, signals, tip_scenes
 from fivebar.errors import FiveBarError
 from fivebar.signals import Signal
-from fivebar.variables import Value, Values, Variables, is_number, plain, shown, similar
+from fivebar.variables import Value, Values, Variable, Variables, is_number, plain, shown, similar
 
 LARGEST = 4_000_000
 """Largest size of a file, bytes."""
@@ -148,7 +148,17 @@ def _check_brackets(content: Any, left: int) -> None:
 
 
 def _values(given: Mapping[str, Any], variables: Variables, reserved: Iterable[str]) -> Values:
-    return {name: variables.settable(name, reserved).value(value) for name, value in given.items()}
+    return {name: settable(name, variables, reserved).value(value) for name, value in given.items()}
+
+
+def settable(name: str, variables: Variables, others: Iterable[str] = ()) -> Variable:
+    """The parameter or input of this name; `others` are further suggestions for a misspelt name."""
+    if name.replace("_", "").lower() in (key.lower() for key in SECONDS):
+        raise FiveBarError(
+            f"{name!r} is not a variable: in Python use the arguments stop_time and step_size, s; in a scene's file stopTime and stepSize "
+            f"belong under '{EXPERIMENT}'"
+        )
+    return variables.settable(name, others)
 
 
 def _angle(key: str, given: Any) -> float:

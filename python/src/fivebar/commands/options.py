@@ -12,7 +12,17 @@ from fivebar.commands import completion
 if TYPE_CHECKING:
     from fivebar.kinematics import Working
 
-FILE = click.Path(path_type=Path)
+
+class File(click.Path):
+    """A path that is not the empty text, which would be the current folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("'' names no file or folder", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FILE = File(path_type=Path)
 """A file or folder; the function that reads or writes it reports errors."""
 
 SCENE = completion.Scene()

@@ -23,9 +23,12 @@ from fivebar.commands import completion, options
     metavar="NAME",
     help="Another method, an item of solver.method such as automatic.",
 )
-@click.option("--stop-time", type=float, metavar="SECONDS", help="Stop time instead of the scene's.")
+@click.option("--stop-time", type=options.POSITIVE, metavar="SECONDS", help="Stop time instead of the scene's.")
 @click.option(
-    "--step-size", type=float, metavar="SECONDS", help="Time between rows of the table instead of the scene's."
+    "--step-size",
+    type=options.POSITIVE,
+    metavar="SECONDS",
+    help="Time between rows of the table instead of the scene's.",
 )
 @click.option(
     "--outputs",

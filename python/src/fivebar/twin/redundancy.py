@@ -203,7 +203,7 @@ class _Loop:
     def __init__(self, given: Recording, scene: Scene, relative: tuple[bool, bool]):
         self.scene, self.machine = scene, Machine.from_scene(scene)
         self.sigma_length = float(scene["estimator.sigma0.length"])
-        self.side: Sign = "plus" if int(scene["init.assembly"]) == 1 else "minus"
+        self.side: Sign = scene["init.assembly"]
         columns = given.columns
         encoders = np.column_stack([columns[name] for name in MEASURED])
         known = np.flatnonzero(np.isfinite(encoders).all(axis=1))
