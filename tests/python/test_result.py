@@ -40,6 +40,35 @@ def test_a_result_is_a_dictionary_of_columns(stopped: Result) -> None:
     assert stopped.get("tip.z") is None and "tip.z" not in stopped
 
 
+def test_columns_of_ones_own_are_in_plots_and_tables(stopped: Result, tmp_path: Path) -> None:
+    made = replace(
+        stopped, outputs=["time", "tip.x"], runs=[replace(run, columns=dict(run.columns)) for run in stopped.runs]
+    )
+    made["tip.r"] = np.hypot(made["tip.x"], made["tip.y"])
+    made.units["tip.r"] = "m"
+    part = made.between(0.1, 0.3)
+    again = pickle.loads(pickle.dumps(part))
+    assert again.outputs == ["time", "tip.x", "tip.r"] and again["tip.r"].tolist() == made["tip.r"][100:301].tolist()
+    assert list(again.to_dataframe()) == ["tip.x", "tip.r"] and made.to_xarray()["tip.r"].units == "m"
+    assert made.to_csv(tmp_path / "own.csv").read_text(encoding="utf-8").startswith("time,tip.x,tip.r\n")
+    assert [line.get_label() for line in made.plot("tip.r", "tip.x").axes[0].lines] == ["tip.r", "tip.x"]
+    made._write(tmp_path / "overlay.csv", made.runs[1])
+    part["more"] = part.time
+    assert "more" not in made.outputs
+    with pytest.raises(
+        FiveBarError, match="the column 'short' must have 501 numbers, one for each communication point, not 1"
+    ):
+        made["short"] = 1
+
+
+def test_columns_are_chosen_by_array_prefix_or_list(stopped: Result) -> None:
+    assert stopped["theta"].tolist() == np.column_stack([stopped["theta[1]"], stopped["theta[2]"]]).tolist()
+    for names in (("omega[2]", "omega[1]"), (["omega[2]", "omega[1]"],), ("omega[2]", "omega")):
+        assert [line.get_label() for line in stopped.plot(*names).axes[0].lines] == ["omega[2]", "omega[1]"]
+    with pytest.raises(FiveBarError, match="there is no column 'tipp'; did you mean 'tip'"):
+        stopped.plot("tipp")
+
+
 def test_a_result_equals_only_itself(stopped: Result) -> None:
     """Comparing columns gives no single truth value."""
     again = pickle.loads(pickle.dumps(stopped))

@@ -620,6 +620,9 @@ class Unit(Instance):
     def step(self, h: float) -> None:
         """Makes one communication step.
 
+        A step is one call of the library, and Ctrl-C acts after it. `fivebar.run` steps from one communication point to the next, so it can
+        be interrupted at once.
+
         Parameters
         ----------
         h : float

@@ -6,7 +6,7 @@ import os
 import re
 import tempfile
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ from fivebar.drive import Run
 from fivebar.errors import FiveBarError
 from fivebar.scene import Scene
 from fivebar.singularities import Event
-from fivebar.variables import groups, shown, similar
+from fivebar.variables import INDEX, chosen, groups, shown, similar
 
 if TYPE_CHECKING:
     import pandas
@@ -52,8 +52,10 @@ SHOWN = ("tip.x", "tip.y", "theta[1]", "theta[2]", "omega[1]", "omega[2]")
 class Result(dict[str, np.ndarray]):
     """Result of a run: a dictionary of columns with one row per communication point.
 
-    It has the requested columns and the columns for pictures. `result["tip.x"]` is a column, shape (n,);
-    `pandas.DataFrame(result)` and `dict(result)` have all columns. Two results are equal only if they are the same object.
+    It has the requested columns and the columns for pictures. `result["tip.x"]` is a column, shape (n,), and `result["theta"]` has the
+    columns of an array, shape (n, 2); `pandas.DataFrame(result)` and `dict(result)` have all columns. A column of one's own, such as
+    `result["tip.r"] = ...`, is in plots and tables too; `result.units["tip.r"] = "m"` gives its unit. Two results are equal only if they
+    are the same object.
 
     Examples
     --------
@@ -78,6 +80,8 @@ class Result(dict[str, np.ndarray]):
 
     def __post_init__(self) -> None:
         self.update(self.own.columns)
+        # A part of a result gets columns of its own.
+        object.__setattr__(self, "outputs", list(self.outputs))
 
     def __getitem__(self, name: str) -> np.ndarray:
         if not isinstance(name, str):
@@ -85,7 +89,25 @@ class Result(dict[str, np.ndarray]):
         return super().__getitem__(name)
 
     def __missing__(self, name: str) -> np.ndarray:
+        if elements := [each for each in self if INDEX.sub("", each) == name]:
+            return np.column_stack([self[each] for each in elements])
         raise KeyError(f"there is no column {name!r}{similar(name, self)}")
+
+    def __setitem__(self, name: str, column: Any) -> None:
+        values = np.asarray(column)
+        if values.shape != self.time.shape or values.dtype.kind not in "biuf":
+            raise FiveBarError(
+                f"the column {name!r} must have {len(self.time)} numbers, one for each communication point, not {shown(column)}"
+            )
+        super().__setitem__(name, values)
+        self.own.columns[name] = values
+        self.units.setdefault(name, "1")
+        self.descriptions.setdefault(name, "")
+        if name not in self.outputs:
+            self.outputs.append(name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Result, (self.scene, self.runs, self.refused, self.outputs)
 
     def __eq__(self, other: object) -> bool:
         return self is other
@@ -236,15 +258,15 @@ class Result(dict[str, np.ndarray]):
             blocks.append("\n".join(lines + ([summary.difference(self.own, run)] if i > 0 else [])))
         return "\n\n".join(blocks + self.refused)
 
-    def plot(self, *names: str) -> "Plot":
+    def plot(self, *names: str | Iterable[str]) -> "Plot":
         """Plots columns over time; columns with the same unit share axes.
 
         A notebook shows the figure. Elsewhere `result.plot().show()` opens a window, and `.savefig(file)` writes a file.
 
         Parameters
         ----------
-        *names : str
-            Columns; the default are tip, motor angles and rates.
+        *names : str or iterable of str
+            Columns by names or prefixes; the default are tip, motor angles and rates.
 
         Returns
         -------
@@ -265,11 +287,11 @@ class Result(dict[str, np.ndarray]):
         """
         from fivebar import pictures
 
-        wanted = names or SHOWN
-        for name in arguments.names("names", wanted):
-            if name not in self.own.columns:
-                raise FiveBarError(f"there is no column {name!r}{similar(name, self.own.columns)}")
-        return pictures.curves(self.own, wanted)
+        given = [name for each in names or (SHOWN,) for name in arguments.names("names", each)]
+        known = list(self)[1:]
+        # Columns are shown in the given order.
+        wanted = dict.fromkeys(column for name in given for column in chosen([name], known))
+        return pictures.curves(self.own, list(wanted))
 
     def animate(self, file: str | Path | None = None) -> Path:
         """Writes a page that animates the mechanism in a browser.
@@ -430,7 +452,7 @@ class Result(dict[str, np.ndarray]):
         return Path(file)
 
     def _write(self, file: Path, run: Run) -> None:
-        table.write_columns(file, {name: run[name] for name in self.outputs})
+        table.write_columns(file, {name: run[name] for name in self.outputs if name in run.columns})
 
     def columns(self) -> str:
         """A sentence on the columns of the table.
