@@ -143,7 +143,7 @@ def test_one_process_takes_any_reduction() -> None:
         (lambda r: r.between(None, 0.1), FiveBarError, "'begin' must be a number in s, not null"),
         (lambda r: r.between(0, [1]), FiveBarError, r"'end' must be a number in s, not \[1\]"),
         (
-            lambda r: r.plot(["tip.x"]),
+            lambda r: r.plot([["tip.x"]]),
             FiveBarError,
             r"'names' must be a name or a list of names, not \[\[\"tip.x\"\]\]",
         ),

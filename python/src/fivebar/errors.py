@@ -1,5 +1,6 @@
 """Errors and warnings that the caller can fix: one sentence names the object, its value and the allowed values."""
 
+import os
 import sys
 import warnings
 from pathlib import Path
@@ -44,7 +45,7 @@ class MachineWarning(UserWarning):
 
 def warn(sentence: str) -> None:
     """Gives a MachineWarning at the caller's line, which is the nearest one outside of this package."""
-    package, level, frame = str(Path(__file__).parent), 1, sys._getframe()
+    package, level, frame = f"{Path(__file__).parent}{os.sep}", 1, sys._getframe()
     while frame.f_back is not None and frame.f_code.co_filename.startswith(package):
         level, frame = level + 1, frame.f_back
     warnings.warn(sentence, MachineWarning, stacklevel=level)

@@ -480,12 +480,15 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
 def warn_of(name: str, variables: Variables, runs: Sequence[Values], before: Values | None = None) -> None:
     """Gives MachineWarnings about the values of a scene, of which `runs[0]` is its own run; with `before` only about what has changed since."""
     values = {**variables.start, **runs[0]}
-    sentences = _doubts(values)
-    if before is not None:
+    if before is None:
+        sentences = _doubts(values)
+    else:
         known = {**variables.start, **before}
         changed = [variables[each] for each, value in values.items() if value != known[each]]
         active = {effect for effect in EFFECTS for run in runs if {**variables.start, **run}[f"{effect}.enabled"]}
-        sentences = [each for each in sentences if each not in _doubts(known)] + _idle(values, changed, active)
+        sentences = _idle(values, changed, active)
+        if any(each.type == "Real" for each in changed):
+            sentences += [each for each in _doubts(values) if each not in _doubts(known)]
     for sentence in sentences:
         warn(f"{name}: {sentence}")
 
