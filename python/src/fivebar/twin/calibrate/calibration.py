@@ -368,16 +368,22 @@ def solve(
     fitter = Fitter(machine, given, between, longest, show, patience)
     sought = list(machine.sought)
     free = np.full(len(sought), np.inf)
+    taken = free if taken is None else taken
     fit = alone = fitter.run()
     first = judge(fit, sought, free)
-    held = free if taken is None else np.where(first.sigma > taken, taken, np.inf)
+    held = np.where(first.sigma > taken, taken, np.inf)
     judgement = judge(fit, sought, held) if np.any(held < free) else first
     pins = np.empty((0, len(sought)))
     for settled in (bool(np.all(held == free)) and float(np.max(judgement.sigma)) < WELL_TOLD, True, True):
+        doubtful = ~np.array(judgement.identified) & (taken < held)
+        if np.any(doubtful):
+            # A pin at the scene's value would be exact, but the machine may differ from it by `taken`.
+            held = np.where(doubtful, taken, held)
+            judgement = _both(judgement, judge(fit, sought, held))
         before = len(pins)
         pins = _pins(judgement, len(sought))
         # The prior moves no unknown that is identified this well.
-        if len(pins) == before and settled:
+        if len(pins) == before and settled and not np.any(doubtful):
             break
         if names := [p.name for p, known in zip(sought, judgement.identified, strict=True) if not known]:
             show(f"not identified: {', '.join(names)}; fitted once more with these at their values in the scene")
@@ -395,7 +401,7 @@ def solve(
             fit, judgement = later, _both(judgement, judge(later, sought, held))
         elif np.any(held < free):
             show("residuals are larger with the scene's lengths and mounting angles: these are not the machine's")
-            judgement, held, pins = first, free, np.empty((0, len(sought)))
+            judgement, held, taken, pins = first, free, free, np.empty((0, len(sought)))
         else:
             show("with these values of the scene residuals are larger: the previous fit is kept")
             break
