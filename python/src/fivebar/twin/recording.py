@@ -4,7 +4,6 @@
 was restarted: the following samples are another series, and `time` appends the series to each other.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fivebar import table
-from fivebar.errors import FiveBarError, MachineWarning
+from fivebar.errors import FiveBarError, warn
 from fivebar.twin import units
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED
@@ -183,11 +182,7 @@ def _of_table(source: str | Path, columns: dict[str, Array], unused: Sequence[st
     for other in unused:
         probable = meant.get(_letters(other))
         if probable is not None and probable not in columns:
-            warnings.warn(
-                f"{source}: the column {other} is not used, and there is no {probable}: is this column meant?",
-                MachineWarning,
-                stacklevel=2,
-            )
+            warn(f"{source}: the column {other} is not used, and there is no {probable}: is this column meant?")
     listed = [*unused[:SHOWN], *([f"{len(unused) - SHOWN} more"] if len(unused) > SHOWN else [])]
     return of(source, clock, columns, [f"columns that are not used: {', '.join(listed)}"] if listed else [])
 
