@@ -361,9 +361,9 @@ def solve(
     patience: float = math.inf,
     taken: np.ndarray | None = None,
 ) -> Solution:
-    """Fits; then fits again with unidentified unknowns fixed at the scene's values.
+    """Fits; then fits again with unidentified unknowns at the scene's values, fixed or with a prior.
 
-    `taken`: prior standard deviations of the scene's values, in sizes; infinite by default.
+    `taken`: prior standard deviations of the scene's values, in sizes; infinite, which fixes them, by default.
     """
     fitter = Fitter(machine, given, between, longest, show, patience)
     sought = list(machine.sought)
@@ -379,7 +379,8 @@ def solve(
         if np.any(doubtful):
             # A pin at the scene's value would be exact, but the machine may differ from it by `taken`.
             held = np.where(doubtful, taken, held)
-            judgement = _both(judgement, judge(fit, sought, held))
+            again = judge(fit, sought, held)
+            judgement = replace(_both(judgement, again), combinations=again.combinations)
         before = len(pins)
         pins = _pins(judgement, len(sought))
         # The prior moves no unknown that is identified this well.
