@@ -237,6 +237,17 @@ def test_files_of_others_are_neither_replaced_nor_removed(
     assert capsys.readouterr().err == f"fivebar run: {sentence}\n" and mine.read_text() == "mine"
 
 
+def test_a_page_of_ones_own_is_replaced_without_its_list(fmu: Path, tmp_path: Path) -> None:
+    """Ctrl-C leaves a page without its list, or half a page; `animate` keeps the list."""
+    result = fivebar.run(write(tmp_path / "short.json", SHORT), stop_time=0.01, outputs="tip")
+    (tmp_path / "out").mkdir()
+    page = result.animate(tmp_path / "out" / "short.html")
+    page.write_bytes(page.read_bytes()[:5000])
+    files = result.save(page.parent, draw=False)
+    result.animate(page)
+    assert result.save(page.parent, draw=False) == files and page.read_text("utf-8").count("fivebar wrote") == 2
+
+
 def test_runs_that_diverge() -> None:
     """The summary gives the time until which two tips stay within 1 mm, even if they meet again later."""
     time = np.arange(6) * 0.5

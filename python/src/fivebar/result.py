@@ -39,6 +39,12 @@ WROTE = re.compile(r"^<!-- fivebar wrote (.+) -->$", re.MULTILINE)
 LONGEST_LIST = 65_536
 """Maximum length of these lines, bytes."""
 
+TITLE = re.compile(r"<title>.* · five-bar</title>")
+"""Title of every page of a run."""
+
+HEAD = 4096
+"""The title is within so many first bytes of a page."""
+
 READ = (
     "tip.x", "tip.y", "tip.v", "theta", "omega", "passive", "elbow", "energy", "singular", "solver", "servo.torque", "contact",
 )  # fmt: skip
@@ -316,7 +322,9 @@ class Result(dict[str, np.ndarray]):
         from fivebar import animated_page
 
         path = Path(tempfile.mkdtemp(prefix="fivebar-")) / f"{self.scene.name}.html" if file is None else Path(file)
+        _, others = _origin(path)
         animated_page.write(path, self.scene, self.runs, self.singularities)
+        _list(path, *others)
         if file is None:
             webbrowser.open(path.as_uri())
         return path
@@ -528,8 +536,7 @@ class Result(dict[str, np.ndarray]):
             progress(f"{name}: writing {file}")
             files.append(out / file)
             if len(files) > 1:
-                with page.open("a", encoding="utf-8", newline="\n") as stream:
-                    stream.write(f"<!-- fivebar wrote {file} -->\n")
+                _list(page, file)
             return files[-1]
 
         page = self.animate(begin(f"{name}.html"))
@@ -560,13 +567,26 @@ def check_foreign(folder: Path, name: str, labels: Sequence[str], draw: bool) ->
 
 def _wrote(page: Path) -> set[Path]:
     """The page of an earlier run and the files that it lists; none for a page of another origin."""
+    is_own, listed = _origin(page)
+    names = {page.name, *listed} if is_own else set()
+    return {file for file in page.parent.iterdir() if file.name in names and file.is_file()}
+
+
+def _origin(page: Path) -> tuple[bool, list[str]]:
+    """Whether FiveBar wrote the page, and the names of other files that the page lists. A page without its list is recognised by its title."""
     if not page.is_file():
-        return set()
+        return False, []
     with page.open("rb") as stream:
+        head = stream.read(HEAD).decode("utf-8", "replace")
         stream.seek(-min(page.stat().st_size, LONGEST_LIST), os.SEEK_END)
         listed = WROTE.findall(stream.read().decode("utf-8", "replace"))
-    names = {page.name, *listed} if listed else set()
-    return {file for file in page.parent.iterdir() if file.name in names and file.is_file()}
+    return bool(listed or TITLE.search(head)), listed
+
+
+def _list(page: Path, *files: str) -> None:
+    """Adds files to the list at the end of the page."""
+    with page.open("a", encoding="utf-8", newline="\n") as stream:
+        stream.writelines(f"<!-- fivebar wrote {file} -->\n" for file in files)
 
 
 def _tables(name: str, labels: Sequence[str]) -> list[str]:
