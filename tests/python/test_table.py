@@ -44,6 +44,8 @@ ROWS = "0,1.5,0.25\n0.001,-1e-3,2\n"
         "sep=;\n" + (HEAD + ROWS).replace(",", ";"),
         '"sep=|"\r\n' + (HEAD + ROWS).replace(",", "|"),
         "# bench, 2026; it's warm \"\n#\n" + HEAD + ROWS,
+        "sep=\t\n" + (HEAD + ROWS).replace(",", "\t").replace(".", ","),
+        '# "Bench" 3\n' + HEAD + ROWS,
         "# bench\n# " + HEAD + ROWS,
         "# 1,2,3\n" + HEAD + ROWS,
         "#,time,theta[1],tau[1],note\n1,0,1.5,.25,x\n2,1e-3,-.001,2,\n",

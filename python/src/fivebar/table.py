@@ -114,7 +114,7 @@ def rows(text: str) -> Iterator[list[str]]:
     for first in filter(str.strip, lines):
         if first.startswith(COMMENT):
             comment = first.lstrip(COMMENT)
-        elif found := SEPARATOR.fullmatch(first.strip()):
+        elif found := SEPARATOR.fullmatch(first.strip(" \r\n")):
             separator = found[1]
         else:
             break
@@ -122,7 +122,7 @@ def rows(text: str) -> Iterator[list[str]]:
         first = ""
     separator = separator or next((each for each in "\t;" if each in first), ",")
     try:
-        head = next(_cells([comment], separator), [])
+        head = _first(comment, separator)
         for row in _cells(chain([first], lines), separator):
             if len(head) == len(row) and _has_number(row) and not _has_number(head):
                 yield head
@@ -137,6 +137,14 @@ def _cells(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
     for row in csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True):
         if "".join(row).strip():
             yield row
+
+
+def _first(line: str, separator: str) -> list[str]:
+    """The cells of a comment; none if its quotes are not those of a table."""
+    try:
+        return next(_cells([line], separator), [])
+    except csv.Error:
+        return []
 
 
 def named(cell: str) -> tuple[str, str]:
