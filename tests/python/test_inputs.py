@@ -72,6 +72,8 @@ def test_inputs_replace_values_of_the_scene(fmu: Path) -> None:
         ({"tau[1]": ["a"]}, "the input 'tau[1]' must have one number for each time, not [\"a\"]"),
         ({"tau": 1}, "the input 'tau' has 2 elements, tau[1] to tau[2]: a number for each, "),
         ({"tau": ([0, 1], [0, 1])}, "the input 'tau' has 2 elements, tau[1] to tau[2]: a number for each, "),
+        ({"tau": ([[0], [0, 1]], [1, 2])}, "the input 'tau' has 2 elements, tau[1] to tau[2]: a number for each, "),
+        ({"time": [0, 1], "tau[1]": [0, 1, 2]}, "the input 'tau[1]' has 3 values but 2 values of time: the counts must be equal"),
         ({"tau[1]": (0.1, 0.2)}, "the input 'tau[1]' must be a number, values at the communication points, or a pair of lists (times, values), not [0.1,0.2]"),
         ({"tau[1]": [[1], [1, 2]]}, "the input 'tau[1]' must have one number for each time, not [[1],[1,2]]"),
         ({"torque": 1}, "'torque' is not an input of the FMU"),
@@ -117,6 +119,15 @@ def test_times_in_milliseconds_are_warned_of_once() -> None:
 def test_an_array_of_numbers_is_constant() -> None:
     signals = read("swing").replace(stop_time=0.01, inputs={"tau": (0.1, 0.2)}).signals
     assert set(signals["tau[1]"]) == {0.1} and set(signals["tau[2]"]) == {0.2}
+
+
+def test_a_number_beside_times_is_constant() -> None:
+    found = sampled({"time": [0, 0.05, 0.1], "tau": [0.1, 0.2], "payload.mass": np.float64(0.3)}, POINTS, of_unit())
+    assert {name: set(values) for name, values in found.items()} == {
+        "tau[1]": {0.1},
+        "tau[2]": {0.2},
+        "payload.mass": {0.3},
+    }
 
 
 def test_times_are_finite() -> None:

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from fivebar import arguments
 from fivebar.errors import FiveBarError, warn
-from fivebar.variables import Variables, shown
+from fivebar.variables import Variables, is_number, plain, shown
 
 Floats = NDArray[np.float64]
 
 Inputs = Mapping[str, Any] | Callable[[float], Mapping[str, float]] | Any
 """A mapping from name to a number, to values at the communication points, or to a pair (times, values) for linear interpolation.
 
-With a key `time`, s, all other values belong to these times. A pandas frame with a column or an index `time` and a function of
+With a key `time`, s, all other values belong to these times; a number is constant. A pandas frame with a column or an index `time` and a function of
 time that returns values by name are allowed too. An array without its index has a number for each element, or rows of them.
 """
 
@@ -67,7 +67,7 @@ def _flat(given: Mapping[str, Any], variables: Variables) -> dict[str, Any]:
         if (elements := variables.arrays.get(name)) is None:
             found[name] = value
             continue
-        is_pair = isinstance(value, tuple) and len(value) == 2 and np.ndim(value[0]) > 0
+        is_pair = isinstance(value, tuple) and len(value) == 2 and not is_number(plain(value[0]))
         rows = _numbers(name, value[1] if is_pair else value, 2)
         if rows.ndim < 1 + is_pair or rows.shape[-1] != len(elements):
             raise FiveBarError(
@@ -99,7 +99,7 @@ def _of_table(given: Mapping[str, Any], points: Floats) -> dict[str, Floats]:
     for name, value in given.items():
         if name == TIME:
             continue
-        if shared is not None:
+        if shared is not None and not is_number(plain(value)):
             value = (shared, value)
         if isinstance(value, tuple) and len(value) == 2:
             courses[name], ends[name] = _joined(name, *value, points)
