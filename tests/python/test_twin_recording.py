@@ -6,9 +6,12 @@ import warnings
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pandas
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from fivebar import simulate
@@ -175,12 +178,62 @@ def test_times_may_be_dates_and_durations(kind: str) -> None:
     assert recording.of_columns(given).time == pytest.approx(GRID, abs=1e-12)
 
 
-@pytest.mark.parametrize("clock", ["s", "timestamp"])
+def test_dates_with_a_zone_are_taken_without_a_warning() -> None:
+    """Clocks were changed in Berlin between these two: one hour passes."""
+    zone = ZoneInfo("Europe/Berlin")
+    dates = [datetime(2026, 10, 25, 2, 30, tzinfo=zone, fold=fold) for fold in (0, 1)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert recording._seconds([*dates, None])[:2].tolist() == [0.0, 3600.0]
+
+
+@pytest.mark.parametrize("times", [[[0], [0, 1]], [datetime(2026, 11, 29), "x", 5], [datetime(2026, 11, 29), 5, 5]])
+def test_times_that_are_no_column_are_one_sentence(times: Any) -> None:
+    with pytest.raises(TwinError, match=r"^the record: time must be a column of numbers, not .*$"):
+        recording.of_columns({"time": times, "theta[1]": np.arange(3.0)})
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (None, "there is no record at FILE: a Parquet file or a folder of parts is expected"),
+        ({"topic": ["a"], "time": [1], "seq": [1], "payload": [b""]}, "FILE is a record of `fivebar twin`, but a table (CSV or Parquet) is expected"),
+        ({"t": [1.0]}, "FILE has no column time (s); its head is t"),
+        ({"time [ms]": [1.0]}, "FILE: time is in ms, but s is expected"),
+        ({"time": [1.0], "time [s]": [1.0]}, "FILE has two columns time; each name must be unique"),
+        ({"time": pa.array([10**13], pa.timestamp("ms"))}, "FILE: time of the type timestamp[ms] has values that are too large: dates from 1678 to 2262 are allowed"),
+        ({"time": pa.array([2**63], pa.uint64())}, "FILE: time of the type uint64 has values that are too large: numbers below 2^63 are allowed"),
+    ],
+)  # fmt: skip
+def test_a_parquet_file_that_is_no_table_is_named(tmp_path: Path, content: Any, sentence: str) -> None:
+    file = tmp_path / "a.parquet"
+    if content is not None:
+        pq.write_table(pa.table(content), file)
+    with pytest.raises(TwinError, match=f"^{re.escape(sentence.replace('FILE', str(file)))}$"):
+        recording.read(file)
+
+
+def test_a_folder_is_no_table(tmp_path: Path) -> None:
+    with pytest.raises(TwinError, match=r"is a folder, but a table \(CSV or Parquet\) is expected$"):
+        recording.read(tmp_path)
+
+
+def test_units_and_empty_columns_of_parquet_are_taken_as_in_csv(tmp_path: Path) -> None:
+    columns = {"time [s]": GRID, "theta[1] [rad]": GRID, "theta[2]": pa.nulls(len(GRID))}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    found = recording.read(tmp_path / "a.parquet")
+    assert found.columns["measured.theta[1]"].tolist() == GRID.tolist()
+    assert np.isnan(found.columns["measured.theta[2]"]).all()
+
+
+@pytest.mark.parametrize("clock", ["s", "timestamp", "duration"])
 def test_a_table_in_parquet_is_read_as_its_csv(tmp_path: Path, clock: str) -> None:
     """Calibration and twin read it; errors are the same too."""
     frame = pandas.read_csv(table(tmp_path, GRID, "time,theta[1],theta[2]")).assign(note="x")
     if clock == "timestamp":
         frame["time"] = pandas.to_datetime(1_790_000_000_000_000_000 + (1e9 * GRID).round().astype(np.int64))
+    if clock == "duration":
+        frame["time"] = pandas.to_timedelta((1e9 * GRID).round().astype(np.int64))
     file = tmp_path / "a.parquet"
     frame.to_parquet(file)
     found, (series,) = player(file).recording, data.read(file, 0.0, 10.0).series

@@ -91,24 +91,54 @@ def is_of_twin(file: Path) -> bool:
 
 
 def table_of(file: Path, wanted: Collection[str], counted: str) -> table.Table:
-    """Reads columns of a table of numbers in Parquet, as `table.read` does from CSV; columns of the type timestamp have the unit ns."""
+    """Reads columns of a table of numbers in Parquet, as `table.read` does from CSV, with units in brackets after the names too.
+
+    Columns of dates and durations have the unit ns.
+    """
     schema = _file(file).schema_arrow
+    heads: dict[str, tuple[str, str]] = {}
+    for column in schema.names:
+        name, unit = table.named(column)
+        if name in heads:
+            raise TwinError(f"{file} has two columns {name:.60}; each name must be unique")
+        heads[name] = column, unit
+    used = [name for name in heads if name in wanted or name == counted]
     try:
-        content = pq.read_table(file, columns=[name for name in schema.names if name in wanted])
+        content = pq.read_table(file, columns=[heads[name][0] for name in used])
     except (OSError, pa.ArrowException) as error:
         raise TwinError(f"{file} cannot be read to its end: {str(error)[:120]}") from None
-    columns = {name: _numbers(file, name, content[name], name == counted) for name in content.column_names}
-    stamped = [name for name in columns if pa.types.is_timestamp(content[name].type)]
-    return table.Table(columns, dict.fromkeys(stamped, "ns"), [name for name in schema.names if name not in columns])
+    columns, units = {}, {name: heads[name][1] for name in used if heads[name][1]}
+    for name in used:
+        found = content[heads[name][0]]
+        columns[name] = _numbers(file, name, found, name == counted)
+        if _is_timed(found.type):
+            units[name] = "ns"
+    return table.Table(columns, units, [name for name in heads if name not in columns])
+
+
+def _is_timed(kind: pa.DataType) -> bool:
+    """Whether a column has dates or durations."""
+    return pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
 
 
 def _numbers(file: Path, name: str, column: "pa.ChunkedArray[Any]", counted: bool) -> np.ndarray:
     """A column as floats; a clock is counted from its first reading before the conversion, so that it keeps its precision."""
     kind = column.type
-    if pa.types.is_timestamp(kind):
-        column, kind = column.cast(pa.timestamp("ns")).cast(pa.int64()), pa.int64()
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+    if pa.types.is_null(kind):
+        return np.full(len(column), np.nan)
+    if not (_is_timed(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         raise TwinError(f"{file}: {name} has the type {kind}, but numbers are expected")
+    try:
+        if _is_timed(kind):
+            in_ns = pa.timestamp("ns") if pa.types.is_timestamp(kind) else pa.duration("ns")
+            column = column.cast(in_ns).cast(pa.int64())
+        elif counted and pa.types.is_integer(kind):
+            column = column.cast(pa.int64())
+    except pa.ArrowException:
+        limits = "dates from 1678 to 2262" if _is_timed(kind) else "numbers below 2^63"
+        raise TwinError(
+            f"{file}: {name} of the type {kind} has values that are too large: {limits} are allowed"
+        ) from None
     known = np.asarray(column.is_valid())
     origin = column[int(np.argmax(known))].as_py() if counted and known.any() else 0
     found = np.full(len(known), np.nan)
@@ -178,6 +208,8 @@ def messages(record: Path, *kinds: str, refused: Callable[[str], None]) -> Itera
 
 
 def _file(path: Path) -> pq.ParquetFile:
+    if not path.exists():
+        raise TwinError(f"there is no record at {path}: a Parquet file or a folder of parts is expected")
     try:
         return pq.ParquetFile(path)
     except (OSError, pa.ArrowException) as error:

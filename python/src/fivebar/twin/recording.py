@@ -6,7 +6,7 @@ was restarted: the following samples are another series, and `time` appends the 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final
 
@@ -96,22 +96,25 @@ def read(file: Path) -> Recording:
 
     try:
         is_parquet = record.is_record(file)
+        if file.is_dir():
+            raise TwinError(f"{file} is a folder, but a table (CSV or Parquet) is expected")
+        if is_parquet and record.is_of_twin(file):
+            raise TwinError(f"{file} is a record of `fivebar twin`, but a table (CSV or Parquet) is expected")
         found = record.table_of(file, COLUMNS, TIME) if is_parquet else table.read(file, COLUMNS, TIME)
     except FiveBarError as error:
         raise TwinError(str(error)) from None
     columns, in_head = dict(found.columns), dict(found.units)
-    if is_parquet and in_head.pop(TIME, ""):
-        # Timestamps are in ns.
-        columns[TIME] = 1e-9 * columns[TIME]
+    if is_parquet and in_head.get(TIME) == "ns":
+        # Dates and durations.
+        columns[TIME], in_head[TIME] = 1e-9 * columns[TIME], "s"
     for name in columns:
         unit, given = _unit(name), in_head.get(name, "")
         if given and _plain(given) != _plain(unit):
             raise TwinError(f"{file}: {name} is in {given:.20}, but {unit} is expected")
     if TIME not in columns:
         names = ", ".join([*columns, *found.others])[:200] or "nothing"
-        raise TwinError(
-            f"{file} has no column time (s); its head is {names}; commas, semicolons or tabs separate columns"
-        )
+        hint = "" if is_parquet else "; commas, semicolons or tabs separate columns"
+        raise TwinError(f"{file} has no column time (s); its head is {names}{hint}")
     return _of_table(file, columns, found.others)
 
 
@@ -142,15 +145,25 @@ def of_columns(given: Any) -> Recording:
 
 def _seconds(given: Any) -> Any:
     """Dates and durations as s since the first one, NaN if one is missing; anything else as it is."""
-    found = np.asarray(given)
-    first = next(iter(found.flat), None)
-    if isinstance(first, (datetime, timedelta)):
-        found = np.asarray(given, dtype="datetime64[ns]" if isinstance(first, datetime) else "timedelta64[ns]")
+    try:
+        found = np.asarray(given)
+        for dates, kind in ((datetime, "datetime64[ns]"), (timedelta, "timedelta64[ns]")):
+            known = [t for t in found.flat if t is not None] if found.dtype == object else []
+            if known and all(isinstance(t, dates) for t in known):
+                found = np.array([_without_zone(t) for t in found], dtype=kind)
+    except (TypeError, ValueError, OverflowError):
+        return given
     if found.dtype.kind not in "mM" or found.ndim != 1 or not len(found):
         return given
     missing = np.isnat(found)
     ns = (found - found[np.argmin(missing)]).astype("timedelta64[ns]").astype(np.int64)
     return np.where(missing, np.nan, 1e-9 * ns)
+
+
+def _without_zone(given: Any) -> Any:
+    """A date with a zone as the date in UTC; anything else as it is."""
+    is_aware = isinstance(given, datetime) and given.tzinfo is not None
+    return given.astimezone(UTC).replace(tzinfo=None) if is_aware else given
 
 
 def _numbers(name: str, given: Any) -> Array:
