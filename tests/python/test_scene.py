@@ -173,6 +173,21 @@ def test_scenes_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert (again.name, again.description) == ("mine", "My machine.")
 
 
+LINE = {f"tip.{axis}": {"linear": [[0.0, at], [0.1, at + 0.02]]} for axis, at in (("x", 0.2), ("y", 0.25))}
+
+
+def test_a_file_has_the_references_that_replaced_the_tips_signals(tmp_path: Path) -> None:
+    moved = scene.read({"servo.enabled": True, "experiment": {"stopTime": 0.1, "stepSize": 0.001}, "signals": LINE})
+    given = moved.replace(inputs={"servo.theta": (1.0, 2.0)})
+    again = scene.read(given.write(tmp_path / "scene.json"))
+    assert again.signals["servo.theta[1]"].tolist() == [1.0] * 101 and again.resolved() == {
+        **given.resolved(),
+        "description": again.description,
+    }
+    assert given.signals["servo.omega[1]"].tolist() == moved.signals["servo.omega[1]"].tolist()
+    assert given.replace({"link[1].mass": 0.02}).signals["servo.theta[2]"].tolist() == [2.0] * 101
+
+
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [

@@ -246,6 +246,8 @@ class Scene:
             step_size=step,
             variants=variants,
             signals=signals,
+            # Given references of the servos replace the tip's signals; references that are not given stay as they are.
+            tip=self.tip.without_signals() if self.tip and moved.keys() & {*self.tip.follows} else self.tip,
             knots={each: signal for each, signal in self.knots.items() if each not in moved},
             assumed={
                 what: note

@@ -64,11 +64,20 @@ class Tip:
         working = {} if self.working is None else {WORKING: list(self.working)}
         return {**self.start, **working, **({} if self.assembly is None else {ASSEMBLY: self.assembly})}
 
+    @property
+    def place(self) -> tuple[float, ...]:
+        """The initial coordinates, m."""
+        return tuple(self.start[name] if name in self.start else self.signals[name].at(0.0) for name in TIP)
+
+    def without_signals(self) -> "Tip":
+        """The same start, given by coordinates."""
+        return replace(self, start=dict(zip(TIP, self.place)), signals={})
+
     def placed(self, values: Values, unit: Mapping[str, Value]) -> Values:
         """The values of a run with initial angles from the tip position, unless given; `unit` has the unit's start values."""
         if any(name in values for name in START[:2]):
             return values
-        place = tuple(self.start[name] if name in self.start else self.signals[name].at(0.0) for name in TIP)
+        place = self.place
         try:
             posture = _machine(values, unit).inverse(place, self.working or OUTWARD)
         except ValueError as error:
