@@ -188,6 +188,40 @@ def test_a_file_has_the_references_that_replaced_the_tips_signals(tmp_path: Path
     assert given.replace({"link[1].mass": 0.02}).signals["servo.theta[2]"].tolist() == [2.0] * 101
 
 
+@pytest.mark.parametrize("values", [{"init.theta[1]": 2.2}, {"init.assembly": "minus"}, {"init.assembly": "plus"}])
+@pytest.mark.parametrize("signals", [{}, LINE], ids=["start", "signals"])
+def test_a_file_has_initial_angles_or_the_tips_place(
+    values: dict[str, Any], signals: dict[str, Any], tmp_path: Path
+) -> None:
+    given = {
+        "experiment": {"stopTime": 0.1, "stepSize": 0.001},
+        "tip.x": 0.2,
+        "tip.y": 0.25,
+        "mode.working": ["minus", "plus"],
+        "overlay": [{"label": "longer", "link[1].length": 0.22}],
+    } | ({"signals": signals} if signals else {})
+    changed = scene.read(given).replace(values)
+    assert scene.read(changed.write(tmp_path / "scene.json")).resolved() == changed.resolved()
+
+
+def test_what_a_file_cannot_have_is_refused(tmp_path: Path) -> None:
+    swing, file = scene.read("swing"), tmp_path / "scene.json"
+    for made in (
+        swing.replace({"servo.limit": (0.5, np.inf), "servo.enabled": True}),
+        replace(swing, variants=[*swing.variants, scene.Variant("strong", {"servo.limit[2]": np.inf})]),
+    ):
+        with pytest.raises(
+            FiveBarError, match=r"'servo\.limit\[2\]' is inf, but a scene's file has finite numbers only$"
+        ):
+            made.write(file)
+    up = scene.read({"tip.x": 0.2, "signals": {"tip.y": LINE["tip.y"]}}).replace({"init.theta[1]": 2.2})
+    with pytest.raises(
+        FiveBarError, match=r"^'init\.theta\[1\]' is given, but 'tip\.x' at the start is the tip's reference"
+    ):
+        up.write(file)
+    assert not file.exists()
+
+
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [

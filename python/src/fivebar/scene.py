@@ -318,7 +318,8 @@ class Scene:
         Raises
         ------
         FiveBarError
-            If the file does not end in .json, or the scene would be too large.
+            If the file does not end in .json, or a file cannot have the scene: it would be too large, a number is infinite, or initial angles
+            are given although the tip's place at the start is needed for a coordinate without signal.
 
         Examples
         --------
@@ -335,15 +336,19 @@ class Scene:
     def _content(self) -> dict[str, Any]:
         """The content of the scene's file."""
         own, *others = (self._unplaced(variant.values) for variant in self.variants)
+        tip = self.tip
+        if tip is not None and (kept := [name for name in tip_scenes.START if name in own]):
+            tip = tip.without_start(kept[0])
+            others = [variant.values for variant in self.variants[1:]]
         found: dict[str, Any] = {
             scene_file.DESCRIPTION: self.description,
             scene_file.EXPERIMENT: {"stopTime": self.stop_time, "stepSize": self.step_size},
             **self._written(own),
             **self.offsets,
-            **(self.tip.content() if self.tip else {}),
+            **(tip.content() if tip else {}),
         }
-        signals = written({**self.knots, **(self.tip.signals if self.tip else {})})
-        follows = self.tip.follows if self.tip else ()
+        signals = written({**self.knots, **(tip.signals if tip else {})})
+        follows = tip.follows if tip else ()
         for name, values in self.signals.items():
             if name not in signals and name not in follows:
                 rows = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values) - 1]
@@ -558,6 +563,10 @@ def content(
 
 def write_content(file: Path, content: Mapping[str, Any]) -> None:
     """Writes a scene, given as the content of its file."""
+    for run in (content, *content.get(scene_file.OVERLAY, ())):
+        for name, value in run.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise FiveBarError(f"{file}: '{name}' is {value}, but a scene's file has finite numbers only")
     written = _lines(content)
     if len(written) > scene_file.LARGEST:
         raise FiveBarError(f"{file}: the scene would have {len(written)} bytes: up to {scene_file.LARGEST} are allowed")

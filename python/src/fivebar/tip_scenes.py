@@ -73,6 +73,16 @@ class Tip:
         """The same start, given by coordinates."""
         return replace(self, start=dict(zip(TIP, self.place)), signals={})
 
+    def without_start(self, given: str) -> "Tip | None":
+        """The part for a file that has initial angles or the assembly; `given` is the name of one of them. None if nothing is left."""
+        if not self.start:
+            return self
+        if missing := [name for name in TIP if self.signals and name not in self.signals]:
+            raise FiveBarError(
+                f"'{given}' is given, but '{missing[0]}' at the start is the tip's reference too: a file has one of them only"
+            )
+        return replace(self, start={}) if self.signals else None
+
     def placed(self, values: Values, unit: Mapping[str, Value]) -> Values:
         """The values of a run with initial angles from the tip position, unless given; `unit` has the unit's start values."""
         if any(name in values for name in START[:2]):
