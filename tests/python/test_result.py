@@ -1,5 +1,6 @@
 """Results of runs: a dictionary of columns, tables of other libraries, parts in time, events, notebooks."""
 
+import copy
 import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -59,6 +60,22 @@ def test_columns_of_ones_own_are_in_plots_and_tables(stopped: Result, tmp_path: 
         FiveBarError, match="the column 'short' must have 501 numbers, one for each communication point, not 1"
     ):
         made["short"] = 1
+
+
+def test_columns_of_ones_own_are_in_one_result_only(stopped: Result) -> None:
+    names = stopped.names
+    for made in (copy.copy(stopped), stopped.between(0.1, 0.3), replace(stopped)):
+        made.update({"u": made.time}, v=made.time)
+        made |= {"w": made.time}
+        assert made.setdefault("x", made.time) is made.setdefault("x", None)
+        assert made.names == list(made) == [*names, *"uvwx"] and made.outputs[-4:] == [*"uvwx"]
+        assert [line.get_label() for line in made.plot("u", "w").axes[0].lines] == ["u", "w"]
+        assert pickle.loads(pickle.dumps(made))["w"].tolist() == made.time.tolist()
+    for known in (stopped, stopped.names, stopped.units, stopped.descriptions, stopped.outputs):
+        assert not {*known} & {*"uvwx"}
+    with pytest.raises(TypeError, match="a column is chosen by its name, not by 1"):
+        stopped[1] = stopped.time  # type: ignore[index]
+    assert list(stopped) == names
 
 
 def test_columns_are_chosen_by_array_prefix_or_list(stopped: Result) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -85,13 +85,17 @@ class Result(dict[str, np.ndarray]):
     """Names of the columns in tables; the first is `time`."""
 
     def __post_init__(self) -> None:
-        self.update(self.own.columns)
-        # A part of a result gets columns of its own.
+        # A part or a copy of a result gets columns of its own.
+        runs = [
+            replace(run, columns=dict(run.columns), units=dict(run.units), descriptions=dict(run.descriptions))
+            for run in self.runs
+        ]
+        object.__setattr__(self, "runs", runs)
         object.__setattr__(self, "outputs", list(self.outputs))
+        super().update(self.own.columns)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        if not isinstance(name, str):
-            raise TypeError(f"a column is chosen by its name, not by {shown(name)}")
+        _check_name(name)
         return super().__getitem__(name)
 
     def __missing__(self, name: str) -> np.ndarray:
@@ -100,6 +104,7 @@ class Result(dict[str, np.ndarray]):
         raise KeyError(f"there is no column {name!r}{similar(name, self)}")
 
     def __setitem__(self, name: str, column: Any) -> None:
+        _check_name(name)
         values = np.asarray(column)
         if values.shape != self.time.shape or values.dtype.kind not in "biuf":
             raise FiveBarError(
@@ -111,6 +116,19 @@ class Result(dict[str, np.ndarray]):
         self.descriptions.setdefault(name, "")
         if name not in self.outputs:
             self.outputs.append(name)
+
+    def update(self, *given: Any, **columns: Any) -> None:
+        for name, column in dict(*given, **columns).items():
+            self[name] = column
+
+    def __ior__(self, columns: Any) -> Self:  # type: ignore[override,misc]  # columns may be lists
+        self.update(columns)
+        return self
+
+    def setdefault(self, name: str, column: Any = None) -> np.ndarray:
+        if name not in self:
+            self[name] = column
+        return self[name]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Result, (self.scene, self.runs, self.refused, self.outputs)
@@ -550,6 +568,11 @@ class Result(dict[str, np.ndarray]):
             if moving_picture.wanted(self.own):
                 moving_picture.write(begin(ANIMATION), self.scene, self.own, self.singularities)
         return files
+
+
+def _check_name(name: object) -> None:
+    if not isinstance(name, str):
+        raise TypeError(f"a column is chosen by its name, not by {shown(name)}")
 
 
 def check_foreign(folder: Path, name: str, labels: Sequence[str], draw: bool) -> None:
