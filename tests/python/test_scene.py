@@ -264,7 +264,6 @@ def test_start_values_in_keywords_are_checked_once(start: Callable[[], object]) 
     [
         ({"rotor.inertia[1]": 1e-3, "rotor.inertia[2]": 1e-3}, "rotor.inertia[1] is 0.001, but no active effect reads it: rotor.enabled is false"),
         ({"friction.law": "stick"}, "friction.law is stick, but no active effect reads it: friction.enabled is false"),
-        ({"gravity.g": 1.62, "gravity.enabled": False}, "gravity.g is 1.62, but no active effect reads it: gravity.enabled is false"),
     ],
 )  # fmt: skip
 def test_parameters_of_an_effect_that_is_off_are_named(values: dict[str, Any], sentence: str) -> None:
@@ -282,6 +281,23 @@ def test_parameters_that_a_run_reads_or_a_file_has_are_silent() -> None:
         made = scene.read({"rotor.inertia[1]": 1e-3, "overlay": [{"label": "payload", "payload.enabled": True}]})
         made = made.replace({"payload.mass": 0.2, "rotor.inertia[1]": 1e-3, "servo.kp[1]": made["servo.kp[1]"]})
         made.replace({"spring.k[1]": 1, "spring.enabled": True})
+        off = {"viscous.b[1]": 1e-3, "viscous.enabled": False}
+        made.replace(off)
+        fivebar.Unit(**off)
+        fivebar.Unit("swing", **off)
+
+
+def test_a_unit_of_a_scene_warns_once() -> None:
+    with pytest.warns(MachineWarning) as caught:
+        unit = fivebar.Unit("swing", **{"viscous.b": [1e-3] * 5})
+    [warning] = caught
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        unit.reset()
+        unit.reset(**{"viscous.b[1]": 2e-3})
+    assert str(warning.message).startswith("swing: viscous.b[1] is 0.001, but no active effect reads it")
+    with pytest.raises(FiveBarError, match=r"'link\[1\].mass' must be a number in kg"):
+        unit.reset(**{"link[1].mass": -1})
 
 
 def test_rods_and_masses_at_both_ends_are_possible() -> None:

@@ -355,12 +355,16 @@ class Unit(Instance):
         read = scene if scene is None or isinstance(scene, Scene) else scenes.read(scene, library.known)
         self._open(library, "unit", read, values)
         try:
+            if read is not None:
+                # Gives the warnings; a later reset is silent.
+                read.replace(self._start_values(values))
             self.reset()
         except BaseException:
             self.close()
             raise
         if read is None:
-            scenes.warn_of("unit", library.known, [self._elements(values)], {})
+            elements = self._elements(values)
+            scenes.warn_of("unit", library.known, [elements], {}, elements)
 
     @classmethod
     def of(cls, library: "Library | str | Path", name: str = "unit") -> Self:
@@ -708,10 +712,13 @@ class Unit(Instance):
             self.initialise(time)
             self._time = time
 
+    def _start_values(self, given: Mapping[str, Any]) -> dict[str, Value | str]:
+        """Given values by the names of variables, as for a scene."""
+        return {name: _value(self.library.known[name], number) for name, number in self._elements(given).items()}
+
     def _of_scene(self, scene: Scene, given: Mapping[str, Any]) -> dict[str, Value]:
         """Start values of a scene with changed values. If the start is given by the tip position, its angles follow the lengths."""
-        known, numbers = self.library.known, self._elements(given)
-        changed = scene.replace({name: _value(known[name], number) for name, number in numbers.items()}).with_method()
+        changed = scene.changed(self._start_values(given)).with_method()
         return dict(changed.values) | {name: float(column[0]) for name, column in changed.signals.items()}
 
     # --- states -----------------------------------------------------------------------------------------------------------------

@@ -218,10 +218,22 @@ class Scene:
         """
         given = {**({} if values is None else arguments.values("values", values)), **more}
         given |= {} if method is None else {METHOD: method}
-        new = {
-            each: scene_file.settable(each, self.variables).value(value)
-            for each, value in self.variables.flat(given).items()
-        }
+        given = self.variables.flat(given)
+        changed = self.changed(given, stop_time, step_size, inputs, name, description)
+        warn_of(self.name, self.variables, [run.values for run in changed.variants], self.values, given)
+        return changed
+
+    def changed(
+        self,
+        given: Mapping[str, Any],
+        stop_time: float | None = None,
+        step_size: float | None = None,
+        inputs: Inputs | None = None,
+        name: str | None = None,
+        description: str | None = None,
+    ) -> "Scene":
+        """The scene as by `replace`, with start values by the names of variables, without warnings."""
+        new = {each: scene_file.settable(each, self.variables).value(value) for each, value in given.items()}
         stop = self.stop_time if stop_time is None else scene_file.seconds("stop_time", stop_time)
         step = self.step_size if step_size is None else scene_file.seconds("step_size", step_size)
         points = communication_points(stop, step)
@@ -237,7 +249,6 @@ class Scene:
         kept_signals = [each for each in self.signals if each not in moved and each not in commands]
         signals = commands | moved | {each: self._signal(each, points) for each in kept_signals}
         scene_file.check_signals([each for _, each in runs], signals)
-        warn_of(self.name, self.variables, [each for _, each in runs], before)
         return replace(
             self,
             name=self.name if name is None else scene_file.name(name),
@@ -484,8 +495,17 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
     )
 
 
-def warn_of(name: str, variables: Variables, runs: Sequence[Values], before: Values | None = None) -> None:
-    """Gives MachineWarnings about the values of a scene, of which `runs[0]` is its own run; with `before` only about what has changed since."""
+def warn_of(
+    name: str,
+    variables: Variables,
+    runs: Sequence[Values],
+    before: Values | None = None,
+    given: Collection[str] = (),
+) -> None:
+    """Gives MachineWarnings about the values of a scene, of which `runs[0]` is its own run.
+
+    With `before` only about what has changed since. An effect whose switch is among the `given` names is off on purpose.
+    """
     values = {**variables.start, **runs[0]}
     if before is None:
         sentences = _doubts(values)
@@ -493,21 +513,22 @@ def warn_of(name: str, variables: Variables, runs: Sequence[Values], before: Val
         known = {**variables.start, **before}
         changed = [variables[each] for each, value in values.items() if value != known[each]]
         active = {effect for effect in EFFECTS for run in runs if {**variables.start, **run}[f"{effect}.enabled"]}
-        sentences = _idle(values, changed, active)
+        meant_off = {effect for effect in EFFECTS if f"{effect}.enabled" in given}
+        sentences = _idle(values, changed, active | meant_off)
         if any(each.type == "Real" for each in changed):
             sentences += [each for each in _doubts(values) if each not in _doubts(known)]
     for sentence in sentences:
         warn(f"{name}: {sentence}")
 
 
-def _idle(values: Values, changed: Iterable[Variable], active: Collection[str]) -> list[str]:
-    """A sentence for each effect that is off although a parameter of it has changed. The unit itself warns of its inputs."""
+def _idle(values: Values, changed: Iterable[Variable], known: Collection[str]) -> list[str]:
+    """A sentence for each effect that is off, and not `known`, although a parameter of it has changed. The unit itself warns of its inputs."""
     found: dict[str, str] = {}
     for variable in changed:
         effect, value = variable.name.partition(".")[0], values[variable.name]
         if (
             effect in EFFECTS
-            and effect not in active
+            and effect not in known
             and variable.causality == "parameter"
             and variable.type != "Boolean"
         ):
