@@ -469,7 +469,7 @@ def of_file(file: Path, variables: Variables | None = None) -> Scene:
 
 
 def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
-    """A scene from the text of its file; warns with MachineWarning if its links are impossible."""
+    """A scene from the text of its file; warns with MachineWarning if a value is hardly meant."""
     variables = variables or of_unit()
     content = scene_file.Content(scene_file.parse(text), variables)
     courses, points = {}, np.zeros(0)

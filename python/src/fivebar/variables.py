@@ -89,12 +89,12 @@ class Variable:
 
     def number(self, given: Any) -> Value:
         """Converts a value of Python or NumPy to a value for calls. An enumeration may be a number; the unit checks bounds of Reals."""
-        plain = given.item() if hasattr(given, "item") and getattr(given, "size", 1) == 1 else given
-        if self.type == "Real" and is_number(plain):
-            return float(plain)
-        if self.type == "Enumeration" and is_number(plain) and plain in self.items.values():
-            return int(plain)
-        return self.value(plain)
+        single = given.item() if hasattr(given, "item") and getattr(given, "size", 1) == 1 else given
+        if self.type == "Real" and is_number(single):
+            return float(single)
+        if self.type == "Enumeration" and is_number(single) and single in self.items.values():
+            return int(single)
+        return self.value(single)
 
     def item(self, number: int) -> str:
         """The name of an item of an enumeration."""
