@@ -718,7 +718,7 @@ class Unit(Instance):
 
     def _of_scene(self, scene: Scene, given: Mapping[str, Any]) -> dict[str, Value]:
         """Start values of a scene with changed values. If the start is given by the tip position, its angles follow the lengths."""
-        changed = scene.changed(self._start_values(given)).with_method()
+        changed = scene._changed(self._start_values(given)).with_method()
         return dict(changed.values) | {name: float(column[0]) for name, column in changed.signals.items()}
 
     # --- states -----------------------------------------------------------------------------------------------------------------

@@ -118,6 +118,26 @@ class Result(dict[str, np.ndarray]):
             self.outputs.append(name)
 
     def update(self, *given: Any, **columns: Any) -> None:
+        """Sets several columns of one's own.
+
+        Parameters
+        ----------
+        *given, **columns
+            Columns by name, as for a dictionary.
+
+        Raises
+        ------
+        FiveBarError
+            If a column does not have a number for each communication point.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> swing = fivebar.run("swing", stop_time=0.1)
+        >>> swing.update({"tip.r": (swing["tip.x"] ** 2 + swing["tip.y"] ** 2) ** 0.5})
+        >>> swing.names[-1]
+        'tip.r'
+        """
         for name, column in dict(*given, **columns).items():
             self[name] = column
 
@@ -126,6 +146,32 @@ class Result(dict[str, np.ndarray]):
         return self
 
     def setdefault(self, name: str, column: Any = None) -> np.ndarray:
+        """A column; it is set if there is none.
+
+        Parameters
+        ----------
+        name : str
+            Name of the column.
+        column : array-like
+            A number for each communication point.
+
+        Returns
+        -------
+        numpy.ndarray
+            The column, (n,).
+
+        Raises
+        ------
+        FiveBarError
+            If a column is set and does not have a number for each communication point.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> swing = fivebar.run("swing", stop_time=0.1)
+        >>> swing.setdefault("load", swing["time"] * 0.0).shape
+        (101,)
+        """
         if name not in self:
             self[name] = column
         return self[name]

@@ -219,11 +219,11 @@ class Scene:
         given = {**({} if values is None else arguments.values("values", values)), **more}
         given |= {} if method is None else {METHOD: method}
         given = self.variables.flat(given)
-        changed = self.changed(given, stop_time, step_size, inputs, name, description)
+        changed = self._changed(given, stop_time, step_size, inputs, name, description)
         warn_of(self.name, self.variables, [run.values for run in changed.variants], self.values, given)
         return changed
 
-    def changed(
+    def _changed(
         self,
         given: Mapping[str, Any],
         stop_time: float | None = None,
