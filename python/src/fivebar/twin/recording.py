@@ -1,6 +1,6 @@
 """Recordings: a machine's samples sorted by time, with columns named as the fields of `meas`.
 
-`read` reads a CSV table; readers of other sources pass clock and columns to `of`, which applies the same rules to all. If a clock goes back, it
+`read` reads a table (CSV or Parquet); readers of other sources pass clock and columns to `of`, which applies the same rules to all. If a clock goes back, it
 was restarted: the following samples are another series, and `time` appends the series to each other.
 """
 
