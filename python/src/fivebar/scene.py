@@ -22,9 +22,6 @@ from fivebar.variables import Value, Values, Variable, Variables, meant, of_unit
 
 METHOD, ADAPTIVE = "solver.method", "solver.adaptive"
 
-EFFECTS = ("gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo")
-"""Effects with a switch, such as `gravity.enabled`."""
-
 MOST_POINTS = 1_000_000
 """Largest number of communication points of a run: each has a row of some 150 numbers."""
 
@@ -512,26 +509,23 @@ def warn_of(
     else:
         known = {**variables.start, **before}
         changed = [variables[each] for each, value in values.items() if value != known[each]]
-        active = {effect for effect in EFFECTS for run in runs if {**variables.start, **run}[f"{effect}.enabled"]}
-        meant_off = {effect for effect in EFFECTS if f"{effect}.enabled" in given}
-        sentences = _idle(values, changed, active | meant_off)
+        active = {
+            effect for effect in variables.effects for run in runs if {**variables.start, **run}[f"{effect}.enabled"]
+        }
+        meant_off = {effect for effect in variables.effects if f"{effect}.enabled" in given}
+        sentences = _idle(values, changed, variables.effects - active - meant_off)
         if any(each.type == "Real" for each in changed):
             sentences += [each for each in _doubts(values) if each not in _doubts(known)]
     for sentence in sentences:
         warn(f"{name}: {sentence}")
 
 
-def _idle(values: Values, changed: Iterable[Variable], known: Collection[str]) -> list[str]:
-    """A sentence for each effect that is off, and not `known`, although a parameter of it has changed. The unit itself warns of its inputs."""
+def _idle(values: Values, changed: Iterable[Variable], off: Collection[str]) -> list[str]:
+    """A sentence for each effect that is `off` although a parameter of it has changed. The unit itself warns of its inputs."""
     found: dict[str, str] = {}
     for variable in changed:
         effect, value = variable.name.partition(".")[0], values[variable.name]
-        if (
-            effect in EFFECTS
-            and effect not in known
-            and variable.causality == "parameter"
-            and variable.type != "Boolean"
-        ):
+        if effect in off and variable.causality == "parameter" and variable.type != "Boolean":
             given = variable.given(value) if variable.type == "Enumeration" else f"{value:g}"
             found.setdefault(
                 effect, f"{variable.name} is {given}, but no active effect reads it: {effect}.enabled is false"

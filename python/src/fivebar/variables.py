@@ -157,6 +157,12 @@ class Variables(Mapping[str, Variable]):
                 found[array] = (*found.get(array, ()), variable)
         return found
 
+    @cached_property
+    def effects(self) -> frozenset[str]:
+        """Effects of the machine with a switch: `gravity` has `gravity.enabled`."""
+        switched = (name.removesuffix(".enabled") for name in self if name.endswith(".enabled"))
+        return frozenset(name for name in switched if name.partition(".")[0] != "estimator")
+
     def flat(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Values by name, arrays split into their elements: `tau` becomes `tau[1]` and `tau[2]`. Other names stay."""
         found: dict[str, Any] = {}
