@@ -1,4 +1,7 @@
-//! Copies of large values without a second value on the stack.
+//! Large values are copied and made without a second one on the stack.
+
+use std::hint::black_box;
+use std::mem::MaybeUninit;
 
 /// Implements `Clone` such that `clone_from` copies field by field, in place.
 macro_rules! clone_by_fields {
@@ -19,3 +22,14 @@ macro_rules! clone_by_fields {
 }
 
 pub(crate) use clone_by_fields;
+
+/// Memory on the heap for a large value.
+pub(crate) fn place<T>() -> Box<MaybeUninit<T>> {
+    let mut place = Box::new_uninit();
+    // With the allocator inlined for the browser, LLVM takes the allocator's header of memory that nobody has written for undefined, and its
+    // release would trap. Memory that `black_box` has seen may have been written.
+    if cfg!(target_family = "wasm") {
+        black_box(&mut place);
+    }
+    place
+}

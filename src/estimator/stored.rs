@@ -4,6 +4,8 @@ use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{ArrayStorage, SMatrix};
 
+use crate::copies::place;
+
 /// Writes the numbers of a matrix.
 pub(super) fn write<W: Write, const R: usize, const C: usize>(matrix: &SMatrix<f64, R, C>, writer: &mut W) -> io::Result<()> {
     matrix.data.0.serialize(writer)
@@ -17,7 +19,7 @@ pub(super) fn read<S: Read, const R: usize, const C: usize>(reader: &mut S) -> i
 /// Reads a large value in a function of its own, so that the stack contains only one at a time.
 #[inline(never)]
 pub(super) fn read_boxed<R: Read, T: BorshDeserialize>(reader: &mut R) -> io::Result<Box<T>> {
-    let place = Box::new_uninit();
+    let place = place();
     Ok(Box::write(place, T::deserialize_reader(reader)?))
 }
 

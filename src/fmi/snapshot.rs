@@ -4,7 +4,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::clock::Clock;
 use super::{Guid, Kind, Stage};
-use crate::copies::clone_by_fields;
+use crate::copies::{clone_by_fields, place};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
 use crate::simulation::bindings::{self, Field};
@@ -114,10 +114,7 @@ impl Scene {
 /// Makes a large value for the heap. Not inlined: the stack has room for the value while it is made, but not for a second one.
 #[inline(never)]
 pub(super) fn boxed<T>(make: impl FnOnce() -> Result<T, SceneError>) -> Result<Box<T>, SceneError> {
-    let mut place = Box::new_uninit();
-    // With the allocator inlined for the browser, LLVM takes the allocator's header of memory that nobody has written for undefined, and the
-    // release after an error would trap. Memory that `black_box` has seen may have been written.
-    std::hint::black_box(&mut place);
+    let place = place();
     Ok(Box::write(place, make()?))
 }
 
