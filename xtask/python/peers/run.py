@@ -82,14 +82,22 @@ def main() -> int:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     tips = {scene: reference(options.references / f"{scene}.csv") for scene in ahead.SCENES}
     peers, left_out = find(options.fmu, options.only)
+    runs = [
+        (scene, peer, setting)
+        for peer in peers
+        for setting in peer.settings
+        for scene in START
+        if scene != LOADED or setting.begin_loaded is not None
+    ]
     rows = []
-    for peer in peers:
-        for setting in peer.settings:
-            for scene in START:
-                if scene == LOADED and setting.begin_loaded is None:
-                    continue
-                rows.append(measure(scene, peer, setting, tips))
-                show(rows[-1])
+    for run in runs:
+        rows.append(measure(*run, tips))
+        show(rows[-1])
+    for turn in range(2, timing.ROUNDS + 1):
+        print(f"round {turn} of {timing.ROUNDS}: the short runs again", flush=True)
+        for i, run in enumerate(runs):
+            if is_short(rows[i]):
+                rows[i] = min(rows[i], measure(*run, tips), key=cost)
     cells = [{name: "" if value is None else str(value) for name, value in asdict(row).items()} for row in rows]
     for scene, second in itertools.product(ahead.SCENES, (1, 2)):
         print(f"\nTime against ours for an error of the tip after {second} s of {scene}:\n")
@@ -169,6 +177,16 @@ def once(row: Row, run: tuple, start: np.ndarray, tips: Tips) -> tuple[int, floa
     except FAILURES as error:
         return done, spent, f"ended after {done} s: {words(error)}"
     return done, spent, ""
+
+
+def is_short(row: Row) -> bool:
+    """Whether a run reached its end within a time that is measured again."""
+    return not row.note and 1e-3 * cost(row) * END[row.scene] < timing.LONG
+
+
+def cost(row: Row) -> float:
+    """Milliseconds per simulated second, infinite for a run that failed."""
+    return math.inf if row.ms_per_simulated_second is None else row.ms_per_simulated_second
 
 
 def words(error: Exception) -> str:

@@ -6,6 +6,10 @@ from statistics import median
 # TOGETHER s.
 LONG, LEAST, MOST, TOGETHER = 0.5, 5, 20, 0.2
 
+# Other work on the host can slow a program for minutes. All runs shorter than LONG s are therefore measured in rounds, one after the other,
+# and the fastest round of each run counts.
+ROUNDS = 3
+
 
 def enough(times: list[float]) -> bool:
     """Whether these times of one run need no more repeats."""
