@@ -6,6 +6,9 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 
+/// Makes cargo tell on its standard output which files it builds.
+pub(crate) const MESSAGES: &str = "--message-format=json-render-diagnostics";
+
 /// The cargo that runs this xtask, so that a toolchain chosen on the command line stays chosen.
 pub(crate) fn cargo() -> Command {
     program(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))

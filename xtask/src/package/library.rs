@@ -23,7 +23,7 @@ pub(super) fn build(platform: &Platform, linked: &Linked) -> Result<Library> {
     cargo
         .args(["--locked", "--package", LIBRARY_CRATE])
         .args(["--lib", "--crate-type", "cdylib"])
-        .arg("--message-format=json-render-diagnostics")
+        .arg(process::MESSAGES)
         .env("CARGO_ENCODED_RUSTFLAGS", flags(platform, linked)?.join("\u{1f}"));
     let messages = process::run_for_output(&mut cargo)?;
     let (file, built) = artifacts(&messages, platform.extension)?;

@@ -179,7 +179,7 @@ pub(crate) fn fmi_sim() -> Result<()> {
 /// Builds a library in which fmi2CancelStep panics; returns its file. Dependencies are shared with the Rust tests. The library itself is
 /// not optimised, because a panic at the C border does not depend on it.
 fn panicking() -> Result<PathBuf> {
-    let build = ["rustc", "--quiet", "--locked", "--lib", "--crate-type", "cdylib", "--message-format=json-render-diagnostics"];
+    let build = ["rustc", "--quiet", "--locked", "--lib", "--crate-type", "cdylib", process::MESSAGES];
     let messages =
         process::run_for_output(process::cargo().args(build).args(["--", "--cfg", "forced_panic", "-C", "opt-level=0"]))?;
     for message in Message::parse_stream(messages.as_bytes()) {
