@@ -347,8 +347,9 @@ mod tests {
                 swings.iter().map(|&[size, rate, start]| size * rate.powi(order as i32) * angle(rate, start).sin()).sum()
             };
             // Every other motion passes the first border by 5 µm at its maximum.
-            let places = (0..=500).map(|i| f64::from(i) / 500.0 * duration);
-            let top = places.clone().map(|time| sum(0, time)).fold(f64::NEG_INFINITY, f64::max);
+            let samples: Vec<[f64; 2]> =
+                (0..=500).map(|i| f64::from(i) / 500.0 * duration).map(|time| [sum(0, time), sum(1, time)]).collect();
+            let top = samples.iter().map(|[x, _]| *x).fold(f64::NEG_INFINITY, f64::max);
             let middle = if case % 2 == 0 { uniform(-1e-3, 2e-3) } else { 5e-6 - top };
             let spring =
                 UnilateralSpring { damping: if case % 3 == 0 { 0.0 } else { uniform(0.0, 0.5) }, stiffness: 50.0, width: 1e-3 };
@@ -362,7 +363,7 @@ mod tests {
                         super::deciding(law, phase, ends[0][0], at).expect("every phase has a border").1
                     };
                     let residual = |end: [f64; 2]| deciding(&|border| border.residual(end));
-                    let sampled = places.clone().map(|time| residual(at(time))).fold(f64::NEG_INFINITY, f64::max);
+                    let sampled = samples.iter().map(|[x, rate]| residual([middle + x, *rate])).fold(f64::NEG_INFINITY, f64::max);
                     let by_slope = deciding(&|border| border.bound_by_slope(ends, duration, bound));
                     let by_cubic = deciding(&|border| border.bound_by_cubic(ends, duration, bound));
                     let by_start = deciding(&|border| border.residual(ends[0]) + border.steepest(bound) * duration);

@@ -231,7 +231,7 @@ mod tests {
         assert!(rate < 1.5 * steepest, "{rate} of {steepest}");
     }
 
-    /// Compares random polynomials with their values at 4000 places.
+    /// Compares the running maxima of random polynomials at 500 places with their values at 4000.
     #[test]
     fn the_running_maximum_never_falls() {
         let (mut number, mut falling) = (1_u64, 0);
@@ -247,6 +247,9 @@ mod tests {
                 let part = f64::from(i) / 4000.0;
                 let here = interpolant.at(part)[0];
                 (most, falls) = (most.max(here), falls || here < most);
+                if i % 8 != 0 {
+                    continue;
+                }
                 let running_maximum = interpolant.running_maximum(0, part);
                 // Between two places a maximum is higher by at most an eighth of their squared distance times the curvature, which is at
                 // most 100.
