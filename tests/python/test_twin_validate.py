@@ -520,6 +520,20 @@ def test_a_scale_is_proposed_if_it_is_needed_and_helps() -> None:
         assert advice.proposed is None and advice.sentence() == "" and advice.content()["proposed"] is None
 
 
+def test_an_alarm_from_the_start_on_is_printed() -> None:
+    """Such an alarm has no begin, so that it is not counted; its share of the time is printed beside the number."""
+    content = {"alarms": 0, "causes": [], "unknown_torque": {"alarm_share": 1.0, "size99_nm": 1.0}}
+    assert validate._alarms(content) == "alarms: 0; on 100 % of the time (without the first 2 s of each series)"
+    part = {"samples": 1, "innovations": {"coverage95": None}, "forecasts": {}}
+    assert "<b>100<small> %</small></b><span>of the time with an alarm" in validate._cards(content | {"held_out": part})
+    content |= {"alarms": 2, "causes": ["force", "fault"]}
+    content["unknown_torque"] |= {"alarm_share": 0.0123}
+    assert (
+        validate._alarms(content)
+        == "alarms: 2, of force, fault; on 1.23 % of the time (without the first 2 s of each series)"
+    )
+
+
 def test_results_remain_if_the_second_run_fails(
     fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

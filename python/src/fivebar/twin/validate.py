@@ -28,7 +28,7 @@ from fivebar.twin.process import Worker
 from fivebar.twin.recorder import Recorder
 from fivebar.twin.soak import BEGIN, Wire
 from fivebar.twin.torque_scale import Advice, Needed
-from fivebar.twin.watch import Watch
+from fivebar.twin.watch import STARTING, Watch
 
 TICK_EVERY: Final = 100
 """Number of samples between two ticks of the workers."""
@@ -207,11 +207,22 @@ def _tell(content: dict[str, Any], files: list[Path]) -> None:
             print(
                 f"tip: forecasts {ahead} s ahead {given['error_mm']:.3g} mm off (rms), {100 * given['coverage95']:.3g} % inside their circles"
             )
-    print(f"alarms: {content['alarms']}" + (f", of {', '.join(content['causes'])}" if content["causes"] else ""))
+    print(_alarms(content))
     print("\n".join(torque_scale.lines(content["unknown_torque"])))
     for sentence in content["missed"]:
         print(f"promise not kept: {sentence}")
     print(f"written: {', '.join(map(str, files))}")
+
+
+def _alarms(content: dict[str, Any]) -> str:
+    """Number, causes and duration of the alarms; an alarm that is on from the start has no count."""
+    of = f", of {', '.join(content['causes'])}" if content["causes"] else ""
+    return f"alarms: {content['alarms']}{of}; on {_on(content):.3g} % of the time (without the first {STARTING:g} s of each series)"
+
+
+def _on(content: dict[str, Any]) -> float:
+    """Share of the time with an alarm, %."""
+    return 100 * float(content["unknown_torque"]["alarm_share"])
 
 
 def _cards(content: dict[str, Any]) -> str:
@@ -229,7 +240,8 @@ def _cards(content: dict[str, Any]) -> str:
             summary.card(_percent(given["coverage95"]), ".1f", "%", f"of the forecasts of {ahead} s inside 95 %"),
         ]
     cards.append(summary.card(content["unknown_torque"]["size99_nm"], ".3g", "N·m", "unknown torque, 99 % quantile"))
-    return "".join([*cards, summary.card(content["alarms"], "d", "", "alarms")])
+    cards.append(summary.card(content["alarms"], "d", "", "alarms"))
+    return "".join([*cards, summary.card(_on(content), ".3g", "%", "of the time with an alarm")])
 
 
 def _percent(share: float | None) -> float | None:
