@@ -272,12 +272,31 @@ def test_rate_jitter_and_lost_samples_are_measured(tmp_path: Path, capsys: pytes
     time = GRID + 1e-4 * chance.standard_normal(400)
     file = write_csv(tmp_path / "a.csv", "time,theta[1],theta[2]", time[kept], LEFT[kept], RIGHT[kept])
     first, second = quality.measure(imported(tmp_path, file))
-    assert first.lost == second.lost == 53 and first.gaps[0] == pytest.approx((0.995, 0.255), abs=5e-4)
+    assert first.lost == second.lost == 53 and first.gaps[0][:2] == pytest.approx((0.995, 0.255), abs=5e-4)
     # An interval has the jitter of two samples.
-    assert first.jitter == pytest.approx(1e-4 * np.sqrt(2), rel=0.2) and first.period == pytest.approx(0.005, rel=0.01)
+    assert first.jitter == pytest.approx(1e-4 * np.sqrt(2), rel=0.2) and first.periods == pytest.approx(
+        (0.005,), rel=0.01
+    )
     text = capsys.readouterr().out
     assert "measured.theta[1]: 347 samples, 200" in text and "53 lost, longest gap 0.25" in text
     assert "no measured.theta[1] from 0.99" in text and '"estimator.quantum[1]": 0, "estimator.sigma[1]": ' in text
+
+
+def test_files_of_other_rates_have_no_lost_samples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each series has its own rate: a slower one is neither full of gaps nor of lost samples, and a real gap is still found in it."""
+    fast, slow = 0.001 * np.arange(1500), 0.01 * np.arange(300)
+    kept = np.ones(300, dtype=bool)
+    kept[100:108] = False
+    files = []
+    for name, time in (("fast", fast), ("slow", slow[kept])):
+        files.append(write_csv(tmp_path / f"{name}.csv", "time,theta[1],theta[2]", time, np.sin(time), np.cos(time)))
+    found = imported(tmp_path, *files)
+    for each in quality.measure(found):
+        assert each.periods == pytest.approx((0.001, 0.01), rel=1e-6) and each.jitter < 1e-9
+        assert each.lost == 8 and len(each.gaps) == 1 and each.gaps[0].steps == pytest.approx(9)
+    text = capsys.readouterr().out
+    assert "1792 samples, 1000 and 100 Hz, jitter" in text and "8 lost, longest gap 0.09 s" in text
+    assert text.count("another series") == 2
 
 
 def test_changes_of_commands_are_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -415,6 +415,21 @@ def test_rough_data(fmu: Path, library: Library, tmp_path: Path) -> None:
         assert abs(value - truth) < 4 / 1.96 * bar, name
 
 
+def test_commands_of_a_slower_series_have_no_lost_samples(library: Library) -> None:
+    """Two series of 5 and 20 ms: each run has the commands of its own samples, without invented ones between them."""
+    columns = made(library, [], [], 1.0)
+    both = {name: np.concatenate([column, column[::4]]) for name, column in columns.items()}
+    problem = calibration.prepare(both, BASE, ["payload.mass"], library, 0.0, 10.0, "")
+    machine = motion.Machine(library, problem.assumed.machine, problem.sought)
+    fitter = fit.Fitter(machine, problem.record, "hold", 10.0, lambda _: None)
+    assert [series.period for series in problem.record.series] == pytest.approx([0.005, 0.02])
+    for length in (0.5, 10.0):
+        for part in fitter.cut(length):
+            path = fitter.piece(part, motion.Start(np.zeros(4), 1)).path
+            assert len(path.knots) == len(part) and path.knots == pytest.approx(part.time - part.time[0])
+    machine.close()
+
+
 def test_the_delay_of_commands_is_found_and_written(fmu: Path, library: Library, tmp_path: Path) -> None:
     """17.3 ms, between two samples, also with other unknowns; the commands before a series are unknown, so that its first 0.1 s are not compared."""
     names = ["servo.delay", "payload.mass", "servo.kp"]

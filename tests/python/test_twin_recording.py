@@ -59,6 +59,22 @@ def test_a_clock_that_restarts_makes_series(tmp_path: Path, begin: float, other:
     assert found.notes == ["1 gaps or jumps of the clock; 0 series of less than 20 samples are left out"]
 
 
+def test_a_series_of_another_rate_is_used(tmp_path: Path) -> None:
+    """Gaps are measured in periods of the own series; a gap in the slower one splits it."""
+    slow = np.delete(0.05 * np.arange(60), range(30, 36))
+    found = data.read(table(tmp_path, np.concatenate([GRID, slow])), 0.0, math.inf)
+    assert [len(series) for series in found.series] == [200, 30, 24] and not found.left_out
+    assert [series.period for series in found.series] == pytest.approx([0.005, 0.05, 0.05])
+
+
+def test_a_rate_that_changes_within_a_series_is_named(tmp_path: Path) -> None:
+    """Samples that are left out are named by a warning, not only by a note."""
+    file = table(tmp_path, np.concatenate([GRID, 1.0 + 0.05 * np.arange(60)]))
+    with pytest.warns(MachineWarning, match="a.csv: 59 of 260 samples are left out, because there are fewer than 20 "):
+        found = data.read(file, 0.0, math.inf)
+    assert [len(series) for series in found.series] == [201]
+
+
 def test_a_part_is_counted_over_all_series(tmp_path: Path) -> None:
     file = table(tmp_path, np.concatenate([GRID, GRID, GRID]))
     found = data.read(file, 0.5, 1.0)

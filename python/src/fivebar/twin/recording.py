@@ -7,6 +7,7 @@ was restarted: the following samples are another series, and `time` appends the 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,6 +39,12 @@ GIVEN: Final = "the record"
 
 SLOW: Final = 0.5
 """Limit of a plausible sampling period, s: machines are sampled faster, and times in ms look slower."""
+
+FEWEST: Final = 20
+"""Minimum number of samples of a series that is calibrated, or that has a rate of its own."""
+
+ALIKE: Final = 0.1
+"""Difference of two sampling periods of one rate, relative to the shorter one."""
 
 DISORDER: Final = 0.1
 """Share of steps back in time, above which rows are not sorted: a series between two restarts has 20 samples or more."""
@@ -87,6 +94,24 @@ class Recording:
     def period(self) -> float:
         """Median sampling period, s; 0 for a single sample."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+
+    @property
+    def periods(self) -> Array:
+        """(n), s: median sampling period of the series of each sample; of the whole recording if the series has less than `FEWEST` samples."""
+        found = np.full(len(self.time), self.period)
+        for begin, end in pairwise((0, *self.begins, len(self.time))):
+            if end - begin >= FEWEST:
+                found[begin:end] = np.median(np.diff(self.time[begin:end]))
+        return found
+
+
+def distinct(periods: Array) -> list[float]:
+    """Periods that differ by more than `ALIKE`, rising."""
+    found: list[float] = []
+    for period in np.unique(periods).tolist():
+        if not found or period > (1 + ALIKE) * found[-1]:
+            found.append(period)
+    return found
 
 
 def read(file: Path) -> Recording:

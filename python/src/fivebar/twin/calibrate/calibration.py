@@ -277,8 +277,10 @@ class Calibration:
         fit, judgement, given = self.solution.fit, self.solution.judgement, self.problem.record
         count = sum(len(series) for series in given.series)
         lines = [self.warning] if self.warning else []
+        periods = recording.distinct(np.array([series.period for series in given.series]))
+        every = " or ".join(f"{1e3 * period:.3g}" for period in periods)
         lines.append(
-            f"{count} samples in {len(given.series)} series, every {1e3 * given.period:.3g} ms; begun from {self.problem.assumed.source}"
+            f"{count} samples in {len(given.series)} series, every {every} ms; begun from {self.problem.assumed.source}"
         )
         lines += [f"  {note}" for note in given.notes]
         sigma = ", ".join(f"{1e3 * value:.3g}" for value in fit.sigma)

@@ -9,16 +9,20 @@ from typing import Any, Final
 
 import numpy as np
 
+from fivebar.errors import warn
 from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import record, recording, turn
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED, decode
-from fivebar.twin.recording import Array
+from fivebar.twin.recording import FEWEST, Array
 from fivebar.variables import Value
 
 GAP: Final = 5.5
-"""Longest gap within a series, in median sampling periods; in a longer gap the drive commands are unknown."""
+"""Longest gap within a series, in its median sampling periods; in a longer gap the drive commands are unknown."""
+
+MANY_LEFT_OUT: Final = 0.1
+"""Share of the samples; a record with a few gaps leaves out less."""
 
 FIRST: Final = 5
 """Number of samples for the initial turn of an encoder: the median, because one may be an outlier."""
@@ -52,6 +56,9 @@ class Samples:
     earlier: "Samples | None" = None
     """The samples of the last `EARLIER` s before a part of a series."""
 
+    period: float = 0.0
+    """Median sampling period of the recording's series, s; 0 if unknown."""
+
     def __len__(self) -> int:
         return len(self.time)
 
@@ -70,7 +77,7 @@ class Samples:
             own = (before.time, before.angles, before.commands)
             rows = [np.concatenate(pair) for pair in zip(own, rows, strict=True)]
         time, angles, commands = rows
-        return Samples(time, angles, commands, self.names)
+        return Samples(time, angles, commands, self.names, period=self.period)
 
 
 @dataclass(frozen=True)
@@ -81,6 +88,9 @@ class Data:
     notes: list[str]
     source: str | Path = recording.GIVEN
     """File or folder, for error messages."""
+
+    left_out: str = ""
+    """A sentence if more than `MANY_LEFT_OUT` of the samples are left out, else ""."""
 
     @property
     def period(self) -> float:
@@ -101,6 +111,8 @@ def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
             f"its last sample is at {given.time[-1]:.3f} s"
         )
     data = split(given.part(int(first), int(last)))
+    if data.left_out:
+        warn(data.left_out)
     if last - first < len(given.time):
         length = f"{seconds:g} s" if math.isfinite(seconds) else "all"
         data.notes.append(f"used are {last - first} of {len(given.time)} samples: {length} from {begin:g} s on")
@@ -142,24 +154,36 @@ def check(data: Data) -> None:
 
 
 def split(given: recording.Recording) -> Data:
-    """Splits a recording at gaps and restarts of the clock; series of less than 20 samples are left out."""
+    """Splits a recording at gaps and restarts of the clock; series of less than `FEWEST` samples are left out."""
     time, table = given.time, given.columns
     names = tuple(name for name in INPUTS if name in table)
     angles = np.column_stack([table.get(name, np.full(len(time), np.nan)) for name in MEASURED])
     commands = np.column_stack([table[name] for name in names]) if names else np.empty((len(time), 0))
-    gaps = np.flatnonzero(np.diff(time) > GAP * given.period) + 1
+    periods = given.periods
+    gaps = np.flatnonzero(np.diff(time) > GAP * periods[1:]) + 1
     samples = Samples(time, angles, commands, names)
-    parts = [samples.part(a, b) for a, b in pairwise((0, *sorted({*gaps.tolist(), *given.begins}), len(time)))]
-    series = [part for part in parts if np.isfinite(part.angles).any(axis=1).sum() >= 20]
+    parts = [
+        replace(samples.part(a, b), period=float(periods[a]))
+        for a, b in pairwise((0, *sorted({*gaps.tolist(), *given.begins}), len(time)))
+    ]
+    counts = [int(np.isfinite(part.angles).any(axis=1).sum()) for part in parts]
+    series = [part for part, count in zip(parts, counts, strict=True) if count >= FEWEST]
     if not series:
         back = f"; its clock falls back {len(given.begins)} times" if given.begins else ""
-        raise TwinError(f"{given.source} has no series of 20 samples or more without a gap{back}")
+        raise TwinError(f"{given.source} has no series of {FEWEST} samples or more without a gap{back}")
+    lacking = sum(count for count in counts if count < FEWEST)
+    left_out = (
+        f"{given.source}: {lacking} of {sum(counts)} samples are left out, because there are fewer than {FEWEST} between two gaps or jumps of the clock; "
+        "a part with another rate must be a file of its own"
+        if lacking > MANY_LEFT_OUT * sum(counts)
+        else ""
+    )
     notes = list(given.notes)
     if len(parts) > 1:
         notes.append(
-            f"{len(parts) - 1} gaps or jumps of the clock; {len(parts) - len(series)} series of less than 20 samples are left out"
+            f"{len(parts) - 1} gaps or jumps of the clock; {len(parts) - len(series)} series of less than {FEWEST} samples are left out"
         )
-    return Data(series, notes, given.source)
+    return Data(series, notes, given.source, left_out)
 
 
 def turned(given: Data, library: Library, scene: Mapping[str, Value]) -> Data:

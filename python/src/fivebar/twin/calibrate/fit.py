@@ -199,13 +199,12 @@ class Fitter:
                 series = series.part(int(np.searchsorted(series.time, series.time[0] + DEEPEST)), len(series))
             if not len(series):
                 continue
+            period = series.period or self.period
             span, count = series.time[-1] - series.time[0], 1
             for level in (self.longest, *reversed(LEVELS)):
                 if level >= length:
-                    count *= max(1, math.ceil(span / count / max(level, FEWEST * self.period) - 0.2))
-            edges = np.searchsorted(
-                series.time, series.time[0] + span * np.arange(1, count) / count - 0.5 * self.period
-            )
+                    count *= max(1, math.ceil(span / count / max(level, FEWEST * period) - 0.2))
+            edges = np.searchsorted(series.time, series.time[0] + span * np.arange(1, count) / count - 0.5 * period)
             for a, b in zip([0, *edges], [*edges, len(series)], strict=True):
                 # Neighbouring pieces share a sample, which is compared once.
                 part = series.part(a, min(b + 1, len(series)))
@@ -215,7 +214,8 @@ class Fitter:
 
     def piece(self, samples: Samples, start: Start) -> Piece:
         """A piece with the given start."""
-        return Piece(Path(samples, self.between, self.machine.library, self.period), start, self.compared(samples))
+        path = Path(samples, self.between, self.machine.library, samples.period or self.period)
+        return Piece(path, start, self.compared(samples))
 
     def first(self, x: Array, lengths: list[float]) -> list[Piece]:
         """Pieces of the first length, with the assembly that fits. Their starts are guessed from their first samples, then fitted to all samples.

@@ -209,19 +209,23 @@ def _clock(given: Recording) -> Iterator[Finding]:
 
 def _rates(measured: list[Quality]) -> Iterator[Finding]:
     for each in measured:
-        gap = each.gaps[0][1] if each.gaps else 0.0
-        yield Finding("fix" if gap > data.GAP * each.period else "ok", "rate", each.sentence())
-        if each.jitter > EVEN * each.period:
+        is_broken = any(gap.steps > data.GAP for gap in each.gaps)
+        yield Finding("fix" if is_broken else "ok", "rate", each.sentence())
+        if each.uneven > EVEN:
+            in_ = " and ".join(f"{1e3 * period:.3g}" for period in each.periods)
             yield Finding(
                 "fix",
                 "jitter",
-                f"{each.name} is {1e3 * each.jitter:.3g} ms uneven in {1e3 * each.period:.3g} ms: stamp a sample where the encoder is read, not where it arrives",
+                f"{each.name} is {1e3 * each.jitter:.3g} ms uneven in {in_} ms: stamp a sample where the encoder is read, not where it arrives",
             )
 
 
 def _encoders(given: Recording) -> Iterator[Finding]:
     try:
-        data.check(data.split(given))
+        found = data.split(given)
+        if found.left_out:
+            yield Finding("fix", "record", found.left_out)
+        data.check(found)
     except TwinError as error:
         yield Finding("fix", "record", str(error))
     for i, (name, other) in enumerate(zip(MEASURED, MEASURED[::-1], strict=True)):
@@ -248,10 +252,11 @@ def _encoders(given: Recording) -> Iterator[Finding]:
 
 
 def _turns(given: Recording) -> Iterator[Finding]:
+    periods = given.periods
     for name in MEASURED:
         rows = np.flatnonzero(np.isfinite(given.columns[name]))
         steps, apart = np.diff(given.columns[name][rows]), np.diff(given.time[rows])
-        jumps = np.flatnonzero((np.abs(steps) > np.pi) & (apart <= quality.LOST * given.period))
+        jumps = np.flatnonzero((np.abs(steps) > np.pi) & (apart <= quality.LOST * periods[rows[1:]]))
         odd = jumps[np.abs(steps[jumps] - TURN * np.round(steps[jumps] / TURN)) > 0.5]
         if len(odd):
             at = given.time[rows[odd[0] + 1]]

@@ -42,9 +42,9 @@ def _summary(
     lines += [f"  {note}" for note in found.notes]
     lines += [each.sentence() for each in figures]
     for each in figures:
-        long = [(at, length) for at, length in each.gaps if length > data.GAP * each.period]
-        for at, length in long[:SHOWN]:
-            lines.append(f"  no {each.name} from {at:.3f} s on for {length:.3g} s: another series")
+        long = [gap for gap in each.gaps if gap.steps > data.GAP]
+        for gap in long[:SHOWN]:
+            lines.append(f"  no {each.name} from {gap.begin:.3f} s on for {gap.length:.3g} s: another series")
         if len(long) > SHOWN:
             lines.append(f"  and {len(long) - SHOWN} more")
     lines += [each.sentence() for each in changes]

@@ -3,12 +3,13 @@ configure the estimator."""
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from fivebar.twin.messages import MEASURED, SERVOS, TORQUES
-from fivebar.twin.recording import Array, Recording
+from fivebar.twin.recording import FEWEST as SERIES
+from fivebar.twin.recording import Array, Recording, distinct
 
 WINDOW: Final = 50
 """Number of samples in a window; each window gives one estimate of the noise from third differences."""
@@ -39,21 +40,37 @@ SCALES: Final = {
 """Parameter of the unit for the changes of each command, with its unit."""
 
 
+class Gap(NamedTuple):
+    """A gap with lost samples."""
+
+    begin: float
+    """s."""
+
+    length: float
+    """s."""
+
+    steps: float
+    """Length in median steps of the series."""
+
+
 @dataclass(frozen=True)
 class Quality:
     """Quality figures of an encoder."""
 
     name: str
     samples: int
-    period: float
-    """Median distance between samples, s."""
+    periods: tuple[float, ...]
+    """Median distances between samples, s: one for each rate of the series, rising; none for a single sample."""
 
     jitter: float
-    """Standard deviation of the distance without lost samples, s."""
+    """Standard deviation of the distance from the median of the series, without lost samples, s."""
+
+    uneven: float
+    """The same, relative to the median of the series."""
 
     lost: int
-    gaps: tuple[tuple[float, float], ...]
-    """Begin and length, s, of each gap with lost samples, the longest first."""
+    gaps: tuple[Gap, ...]
+    """All gaps with lost samples, the longest first."""
 
     step: float
     """Resolution of the encoder, rad; 0 if not visible."""
@@ -66,9 +83,10 @@ class Quality:
         step = f"steps of {1e3 * self.step:.4g} mrad" if self.step else "no steps seen"
         noise = f"noise {1e3 * self.noise:.3g} mrad" if self.noise or not self.step else "noise below the steps"
         lost = f"{self.lost} lost" + (
-            f", longest gap {self.gaps[0][1]:.3g} s at {self.gaps[0][0]:.3f} s" if self.gaps else ""
+            f", longest gap {self.gaps[0].length:.3g} s at {self.gaps[0].begin:.3f} s" if self.gaps else ""
         )
-        rate = f"{1 / self.period:.4g} Hz, jitter {1e3 * self.jitter:.3g} ms" if self.period else "one sample"
+        rates = " and ".join(f"{1 / period:.4g}" for period in self.periods)
+        rate = f"{rates} Hz, jitter {1e3 * self.jitter:.3g} ms" if self.periods else "one sample"
         return f"{self.name}: {self.samples} samples, {rate}, {lost}; {step}, {noise}"
 
     def settings(self) -> dict[str, float]:
@@ -140,24 +158,28 @@ def _of(given: Recording, name: str) -> Quality:
     ]
     series = [(given.time[rows], column[rows]) for rows in known if len(rows)]
     values = np.concatenate([angles for _, angles in series])
-    steps = np.concatenate([np.diff(time) for time, _ in series])
-    begins = np.concatenate([time[:-1] for time, _ in series])
-    if not len(steps):
-        return Quality(name, len(values), 0.0, 0.0, 0, (), 0.0, 0.0)
-    period = float(np.median(steps))
+    series = [each for each in series if len(each[0]) > 1]
+    if not series:
+        return Quality(name, len(values), (), 0.0, 0.0, 0, (), 0.0, 0.0)
+    own = [np.diff(time) for time, _ in series]
+    steps, begins = np.concatenate(own), np.concatenate([time[:-1] for time, _ in series])
+    usual = float(np.median(steps))
+    medians = [float(np.median(each)) if len(each) + 1 >= SERIES else usual for each in own]
+    period = np.repeat(medians, [len(each) for each in own])
     long = steps > LOST * period
     order = np.argsort(-steps[long], kind="stable")
-    gaps = tuple(zip(begins[long][order].tolist(), steps[long][order].tolist(), strict=True))
+    columns = (begins[long][order], steps[long][order], (steps / period)[long][order])
     step = find_step(values)
     return Quality(
         name,
         len(values),
-        period,
-        float(np.std(steps[~long])),
-        int(np.sum(np.round(steps[long] / period) - 1)),
-        gaps,
+        tuple(distinct(np.array(medians))),
+        float(np.std((steps - period)[~long])),
+        float(np.std((steps / period)[~long])),
+        int(np.sum(np.round(steps[long] / period[long]) - 1)),
+        tuple(Gap(*each) for each in zip(*(column.tolist() for column in columns), strict=True)),
         step,
-        find_noise(series, period, step),
+        find_noise([*zip(series, medians, strict=True)], step),
     )
 
 
@@ -219,10 +241,13 @@ def find_step(values: Array) -> float:
     return step if float(np.sqrt(np.mean(remainder**2))) < 0.05 else 0.0
 
 
-def find_noise(series: list[tuple[Array, Array]], period: float, step: float) -> float:
-    """Standard deviation of white noise, rad, from third differences, because the motion itself contributes almost nothing to them."""
+def find_noise(series: list[tuple[tuple[Array, Array], float]], step: float) -> float:
+    """Standard deviation of white noise, rad, from third differences, because the motion itself contributes almost nothing to them.
+
+    A series has times, angles and its median step.
+    """
     found = []
-    for time, angles in series:
+    for (time, angles), period in series:
         even = np.abs(np.diff(time) - period) < EVEN * period
         third = np.diff(angles, 3)[even[:-2] & even[1:-1] & even[2:]] ** 2 / THIRD if len(angles) > 3 else np.empty(0)
         moved = np.abs(np.diff(angles))[: len(third)]
