@@ -79,6 +79,15 @@ def checked(text: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[st
     return code, found, blocks
 
 
+def test_coarse_times_are_to_be_fixed(capsys: pytest.CaptureFixture[str]) -> None:
+    """Four of five samples have the time of the row above, with other readings."""
+    write_csv(np.floor(40 * GRID + 1e-9) / 40, rounded(MOTION))
+    code, found, _ = checked(capsys)
+    [(state, sentence), *_] = found["record"]
+    assert code == 1 and state == "fix"
+    assert sentence.startswith("320 of 400 samples are left out, because they repeat the time of the row above, ")
+
+
 def test_a_good_record_needs_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     write_csv(GRID, rounded(MOTION), **{"tip.x": TIP[:, 0], "tip.y": TIP[:, 1]})
     code, found, blocks = checked(capsys)

@@ -85,11 +85,37 @@ def test_a_part_is_counted_over_all_series(tmp_path: Path) -> None:
 
 
 def test_rows_without_a_time_of_their_own_are_left_out(tmp_path: Path) -> None:
-    found = recording.read(table(tmp_path, np.repeat(GRID, 2)))
+    file = table(tmp_path, GRID)
+    head, *rows = file.read_text(encoding="utf-8").splitlines()
+    file.write_text("\n".join([head, *(row for row in rows for _ in range(2))]) + "\n", encoding="utf-8")
+    found = recording.read(file)
     assert found.time == pytest.approx(GRID) and found.columns["measured.theta[1]"] == pytest.approx(
-        2e-3 * np.arange(200)
+        1e-3 * np.arange(200)
     )
     assert found.notes == ["200 rows without a time of their own left out"] and found.begins == ()
+    assert found.coarse == ""
+
+
+def test_a_coarse_clock_is_named(tmp_path: Path) -> None:
+    """Stamps of 10 ms at 1 kHz: nine of ten samples have the time of the row above, with other readings. A few such rows are no coarse clock."""
+    file = table(tmp_path, np.floor(0.1 * np.arange(1000) + 1e-9) / 100)
+    with pytest.warns(MachineWarning, match="a.csv: 900 of 1000 samples are left out, because they repeat the time"):
+        found = data.read(file, 0.0, 10.0)
+    assert [len(series) for series in found.series] == [100] and len(found.notes) == 1
+    few = recording.read(table(tmp_path, np.concatenate([GRID, [GRID[-1]]])))
+    assert few.coarse == "" and few.notes == ["1 rows without a time of their own left out"]
+
+
+@pytest.mark.parametrize(
+    ("time", "count"),
+    [(np.full(200, 1.7953314e9), "1 different time;"), (1e9 + 10.0 * (GRID > 0.5), "2 different times;")],
+)
+def test_times_with_too_few_digits_are_refused(tmp_path: Path, time: np.ndarray, count: str) -> None:
+    """Times since 1970 that were printed with eight digits."""
+    with pytest.raises(
+        TwinError, match=f"a.csv: 200 rows with a time have {count} 20 or more are needed: the time column has too few"
+    ):
+        recording.read(table(tmp_path, time))
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,9 @@ SLOW: Final = 0.5
 FEWEST: Final = 20
 """Minimum number of samples of a series that is calibrated, or that has a rate of its own."""
 
+MANY_REPEATED: Final = 0.1
+"""Share of the samples with the time of the row above, above which the time is coarse: a logger seldom writes a time twice."""
+
 ALIKE: Final = 0.1
 """Difference of two sampling periods of one rate, relative to the shorter one."""
 
@@ -83,6 +86,9 @@ class Recording:
 
     notes: list[str]
     """Sentences about ignored rows and columns."""
+
+    coarse: str = ""
+    """The note about samples that share a time, if they are more than `MANY_REPEATED` of all, else ""."""
 
     def part(self, first: int, last: int) -> "Recording":
         """Samples first to last - 1; times stay."""
@@ -229,10 +235,25 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
     """Makes a recording from samples in order and their clock, s. Raises `TwinError` for rows that are not sorted and for times and angles in other units."""
     usable = np.flatnonzero(np.isfinite(clock))
     own = usable[np.diff(clock[usable], prepend=np.nan) != 0]
-    if len(own) < len(clock):
-        notes = [*notes, f"{len(clock) - len(own)} rows without a time of their own left out"]
     if not len(own):
         raise TwinError(f"{source} has no row with a time")
+    if len(own) < FEWEST <= len(usable):
+        raise TwinError(
+            f"{source}: {len(usable)} rows with a time have {len(own)} different time{'s' if len(own) > 1 else ''}; {FEWEST} or more are needed: "
+            "the time column has too few digits"
+        )
+    left_out, other = len(clock) - len(own), _repeated(clock, columns, usable)
+    coarse = ""
+    if other > MANY_REPEATED * len(usable):
+        repeated = len(usable) - len(own)
+        left_out -= repeated
+        coarse = (
+            f"{repeated} of {len(usable)} samples are left out, because they repeat the time of the row above, {other} of them with other readings: "
+            "the time column has too few digits, or rows are stamped in blocks"
+        )
+        notes = [*notes, coarse]
+    if left_out:
+        notes = [*notes, f"{left_out} rows without a time of their own left out"]
     clock, columns = clock[own], {name: column[own] for name, column in columns.items()}
     for name in INPUTS:
         if name in columns and np.isfinite(columns[name]).any():
@@ -249,9 +270,20 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
     begins = np.flatnonzero(back) + 1
     shift = np.cumsum(np.where(back, steps - usual, 0.0))
     time = clock - clock[0] - np.concatenate([[0.0], shift])
-    found = Recording(source, time, columns, tuple(begins.tolist()), notes)
+    found = Recording(source, time, columns, tuple(begins.tolist()), notes, coarse)
     _check_units(found)
     return found
+
+
+def _repeated(clock: Array, columns: Mapping[str, Array], usable: Array) -> int:
+    """Number of rows with the time of the row above, but with other readings."""
+    same = np.flatnonzero(np.diff(clock[usable]) == 0)
+    above, below = usable[same], usable[same + 1]
+    differ = np.zeros(len(same), dtype=bool)
+    for name in MEASURED:
+        if name in columns:
+            differ |= np.isfinite(columns[name][below]) & (columns[name][below] != columns[name][above])
+    return int(np.count_nonzero(differ))
 
 
 def _check_units(given: Recording) -> None:

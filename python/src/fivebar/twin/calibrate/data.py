@@ -113,6 +113,8 @@ def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
     data = split(given.part(int(first), int(last)))
     if data.left_out:
         warn(data.left_out)
+    if given.coarse:
+        warn(f"{given.source}: {given.coarse}")
     if last - first < len(given.time):
         length = f"{seconds:g} s" if math.isfinite(seconds) else "all"
         data.notes.append(f"used are {last - first} of {len(given.time)} samples: {length} from {begin:g} s on")

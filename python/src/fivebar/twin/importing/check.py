@@ -195,7 +195,7 @@ def _units(source: Source, scene: Scene) -> Iterator[Finding]:
 
 def _clock(given: Recording) -> Iterator[Finding]:
     for note in given.notes:
-        yield Finding("ok", "record", note)
+        yield Finding("fix" if note == given.coarse else "ok", "record", note)
     if given.begins:
         at = f"{given.time[given.begins[0]]:.3f} s"
         yield Finding(

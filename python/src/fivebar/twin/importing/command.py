@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, warn
 from fivebar.twin.calibrate import data
 from fivebar.twin.importing import assemble, guess, maps, quality
 from fivebar.twin.recording import Recording
@@ -25,6 +25,8 @@ def run(files: Sequence[Path], map_file: Path | None, scene: str | None, record:
     given = maps.read(map_file) if map_file else maps.Map()
     found, used = assemble.recorded(files, given)
     figures = (quality.measure(found), quality.changes(found))
+    if found.coarse:
+        warn(f"{found.source}: {found.coarse}")
     lines = [*_summary(found, used, *figures), *(guess.lines(found, used, scene) if scene else [])]
     record.parent.mkdir(parents=True, exist_ok=True)
     assemble.write(found, record)
