@@ -936,6 +936,22 @@ def test_a_fit_that_fails_is_not_called_another_machine() -> None:
     assert "the scene is not this machine" in calibration.suspicion(found, np.array([1e-6, 1e-6]))[0]
 
 
+def test_residuals_of_a_doubtful_fit_are_not_called_white() -> None:
+    """White residuals that are too large are no sign of a good fit, and the largest allowed number of outliers is one of a bad fit."""
+    found = SimpleNamespace(sigma=np.array([1e-4, 2e-4]), rows=np.zeros((1600, 3)), outliers=3)
+    line = "residuals 0.1, 0.2 mrad (encoders 1, 2), 3 outliers left out"
+    assert calibration.residuals(found, 1.0, False, False) == f"{line}; the residuals are white"
+    assert calibration.residuals(found, 7.0, False, True) == f"{line}; 7 residuals count as one"
+    assert calibration.residuals(found, 1.0, False, True) == calibration.residuals(found, 7.0, True, True) == line
+    found.outliers = fit.most_outliers(1602)
+    found.rows = found.rows[: 1602 - found.outliers]
+    assert found.outliers == 81 and ", 81 outliers left out, as many as are allowed" in calibration.residuals(
+        found, 1.0, False, True
+    )
+    usable, size = [np.ones((801, 2), dtype=bool)], [np.arange(1602.0).reshape(801, 2) + 100]
+    assert sum(int(mask.sum()) for mask in fit.beyond(usable, size, np.ones(2))) == 81
+
+
 def test_records_of_the_pipeline(tmp_path: Path) -> None:
     """Samples are sorted by their count; doubled and malformed ones are counted and left out."""
     messages = [

@@ -21,7 +21,7 @@ from fivebar.scene import Scene
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import recording
 from fivebar.twin.calibrate import data, scenes
-from fivebar.twin.calibrate.fit import ALL_NOISE, Fit, Fitter, Show, TimeLimitExceeded, least_noise
+from fivebar.twin.calibrate.fit import ALL_NOISE, Fit, Fitter, Show, TimeLimitExceeded, least_noise, most_outliers
 from fivebar.twin.calibrate.identify import Judgement, interval, judge
 from fivebar.twin.calibrate.motion import Between, Machine
 from fivebar.twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters, trusted
@@ -283,10 +283,7 @@ class Calibration:
             f"{count} samples in {len(given.series)} series, every {every} ms; begun from {self.problem.assumed.source}"
         )
         lines += [f"  {note}" for note in given.notes]
-        sigma = ", ".join(f"{1e3 * value:.3g}" for value in fit.sigma)
-        scale = judgement.together.time_scale
-        white = "they are white" if scale == 1.0 else f"{scale:.0f} of them count as one"
-        lines.append(f"residuals {sigma} mrad (encoders 1, 2), {fit.outliers} outliers left out; {white}")
+        lines.append(residuals(fit, judgement.together.time_scale, bool(self.solution.wrong), bool(self.warning)))
         lines += [f"  {stage.sentence()}" for stage in fit.stages]
         lines += ["", f"  {'':28} {'scene':>12} {'found':>14} {'± 95 %':>11} {'bound 95 %':>11}"]
         for k, p in enumerate(self.solution.sought):
@@ -412,6 +409,20 @@ def solve(
     if wrong:
         judgement = replace(judgement, identified=[False] * len(sought))
     return Solution(fit, judgement, sought, wrong, odd)
+
+
+def residuals(fit: Fit, time_scale: float, is_refused: bool, is_doubtful: bool) -> str:
+    """A line about the residuals. `time_scale` is the number of successive ones that count as one."""
+    sigma = ", ".join(f"{1e3 * value:.3g}" for value in fit.sigma)
+    found = f"residuals {sigma} mrad (encoders 1, 2), {fit.outliers} outliers left out"
+    if fit.outliers >= most_outliers(len(fit.rows) + fit.outliers):
+        found += ", as many as are allowed: other readings may be wrong, too"
+    if time_scale != 1.0 and not is_refused:
+        found += f"; {time_scale:.0f} residuals count as one"
+    elif time_scale == 1.0 and not is_doubtful:
+        # White residuals speak for a fit only if they are small.
+        found += "; the residuals are white"
+    return found
 
 
 def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:

@@ -689,6 +689,11 @@ def beyond(usable: list[Array], sizes: list[Array], limits: Array) -> list[Array
     return [ratio > limit for ratio in ratios]
 
 
+def most_outliers(readings: int) -> int:
+    """Largest number of outliers that `beyond` finds among so many readings."""
+    return math.ceil(FEW * (readings - 1) - 1e-9)
+
+
 def around(gap: Array, reach: int = 4) -> Array:
     """Median of the neighbours of each residual, (n, 2)."""
     padded = np.pad(gap, ((reach, reach), (0, 0)), constant_values=np.nan)
