@@ -930,7 +930,7 @@ def test_a_fit_that_fails_is_not_called_another_machine() -> None:
     """If the scene's own values follow short pieces, the scene is of this machine."""
     found = SimpleNamespace(sigma=np.array([1.0, 1.0]), rms_before=1.7e-4)
     assert calibration.suspicion(found, np.array([1e-6, 1e-6]))[0].startswith(
-        "refused: the fit failed: residuals of encoder 1 are 1e+03 mrad after the fit"
+        "refused: the fit failed: residuals of encoder 1 are 1000 mrad after the fit"
     )
     found.rms_before = 0.2
     assert "the scene is not this machine" in calibration.suspicion(found, np.array([1e-6, 1e-6]))[0]

@@ -18,6 +18,7 @@ from conftest import REPOSITORY
 from fivebar import table
 from fivebar.commands import main
 from fivebar.library import Library
+from fivebar.plain import plain
 from fivebar.twin import figures, held_out, scene, setup, torque_scale, validate
 from fivebar.twin.errors import TwinError
 from fivebar.twin.held_out import HeldOut
@@ -532,6 +533,20 @@ def test_an_alarm_from_the_start_on_is_printed() -> None:
         validate._alarms(content)
         == "alarms: 2, of force, fault; on 1.23 % of the time (without the first 2 s of each series)"
     )
+
+
+def test_shares_are_plain_numbers() -> None:
+    def needed(alarms: float) -> torque_scale.Needed:
+        return torque_scale.Needed(0.01, 0.1, alarms, 0.95)
+
+    assert (
+        "(alarms 0 % of the time in place of 100 %, 95 % of"
+        in torque_scale.Advice(needed(1.0), replace(needed(0.0), scale=0.5)).sentence()
+    )
+    numbers = [
+        plain(value, digits) for value, digits in ((1234.5, 3), (99.7, 2), (1e-5, 2), (0.30000001, 3), (math.nan, 3))
+    ]
+    assert numbers == ["1230", "100", "0.00001", "0.3", "nan"]
 
 
 def test_results_remain_if_the_second_run_fails(

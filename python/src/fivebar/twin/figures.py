@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from fivebar.plain import plain
 from fivebar.twin import record, scene
 from fivebar.twin.config import Config
 from fivebar.twin.forecast import ANGLES, RADIUS, covariance, half_width
@@ -358,7 +359,7 @@ def missed(content: dict[str, Any]) -> list[str]:
         return found
     if covered < COVERED:
         found.append(
-            f"{100 * covered:.3g} % of the tips are inside the 95 % circles {forecasts['ahead_s']:g} s ahead; {100 * COVERED:g} % are promised"
+            f"{plain(100 * covered)} % of the tips are inside the 95 % circles {forecasts['ahead_s']:g} s ahead; {100 * COVERED:g} % are promised"
         )
     if width is not None and width > NARROW.get(scene, math.inf) and forecasts["ahead_s"] <= 0.5:
         found.append(f"the half-width is {width:.3g} mm (median); in {scene} at most {NARROW[scene]:g} mm are promised")

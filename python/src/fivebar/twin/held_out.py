@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 from scipy.stats import chi2
 
+from fivebar.plain import plain
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import scene, setup, turn
 from fivebar.twin.config import Config
@@ -162,7 +163,7 @@ class HeldOut:
             covered = errors.coverage()
             if errors.count >= FEWEST and covered < COVERED:
                 found.append(
-                    f"{100 * covered:.3g} % of the {what} are inside their 95 % bands; {100 * COVERED:g} % are promised"
+                    f"{plain(100 * covered)} % of the {what} are inside their 95 % bands; {100 * COVERED:g} % are promised"
                 )
         return found + [sentence for each in self.forecasts[:1] for sentence in self._worse(each)]
 
@@ -179,7 +180,7 @@ class HeldOut:
             # At rest, repeating the last reading has no error, but a reading is only known to the encoder's noise and resolution.
             if own > WORSE * max(rms[best], float(self.noise[i])):
                 found.append(
-                    f"forecasts of encoder {i + 1} {given.ahead:.3g} s ahead are {1e3 * own:.3g} mrad off (rms), and `{best}` {1e3 * rms[best]:.3g} mrad; "
+                    f"forecasts of encoder {i + 1} {given.ahead:.3g} s ahead are {plain(1e3 * own)} mrad off (rms), and `{best}` {plain(1e3 * rms[best])} mrad; "
                     f"at most {WORSE:g} times as much is promised"
                 )
         return found
@@ -384,7 +385,7 @@ def lines(content: dict[str, Any]) -> list[str]:
     """The figures as a table: a row for each error with median and rms of both encoders, and the counted coverage of the bands."""
 
     def number(value: float | None, factor: float = 1.0) -> str:
-        return "–" if value is None else f"{factor * value:.3g}"
+        return "–" if value is None else plain(factor * value)
 
     def row(name: str, given: dict[str, Any]) -> str:
         errors = [number(value) for pair in zip(given["median_mrad"], given["rms_mrad"], strict=True) for value in pair]

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from fivebar.library import Library
+from fivebar.plain import plain
 from fivebar.twin.figures import COVERED, Story, or_none
 from fivebar.twin.follower import LONGEST_GAP
 from fivebar.twin.messages import TORQUES
@@ -102,8 +103,8 @@ class Advice:
         now, tried = self.now, self.tried
         return (
             f'If nothing pushed the machine, copy into the scene: "{NAME}": {self.proposed:g} '
-            f"(alarms {100 * tried.alarms:.2g} % of the time in place of {100 * now.alarms:.2g} %, "
-            f"{100 * tried.inside:.3g} % of the innovations inside in place of {100 * now.inside:.3g} %)"
+            f"(alarms {plain(100 * tried.alarms, 2)} % of the time in place of {plain(100 * now.alarms, 2)} %, "
+            f"{plain(100 * tried.inside)} % of the innovations inside in place of {plain(100 * now.inside)} %)"
         )
 
 

@@ -15,6 +15,7 @@ from fivebar.colours import LEFT, RIGHT
 from fivebar.drawing import ABOVE, FAINT, INK, RUN_COLOURS, STYLE, WRONG, panels, save
 from fivebar.errors import FiveBarError, warn
 from fivebar.library import Library
+from fivebar.plain import plain
 from fivebar.twin import figures, held_out, scene, setup, starter, summary, torque_scale
 from fivebar.twin.ahead import Ahead
 from fivebar.twin.config import Config
@@ -207,7 +208,7 @@ def _tell(content: dict[str, Any], files: list[Path]) -> None:
     for ahead, given in (content["tip_forecasts"] or {}).items():
         if given["coverage95"] is not None and float(ahead) == max(map(float, content["tip_forecasts"])):
             print(
-                f"tip: forecasts {ahead} s ahead {given['error_mm']:.3g} mm off (rms), {100 * given['coverage95']:.3g} % inside their circles"
+                f"tip: forecasts {ahead} s ahead {given['error_mm']:.3g} mm off (rms), {plain(100 * given['coverage95'])} % inside their circles"
             )
     print(_alarms(content))
     print("\n".join(torque_scale.lines(content["unknown_torque"])))
@@ -219,7 +220,7 @@ def _tell(content: dict[str, Any], files: list[Path]) -> None:
 def _alarms(content: dict[str, Any]) -> str:
     """Number, causes and duration of the alarms; an alarm that is on from the start has no count."""
     of = f", of {', '.join(content['causes'])}" if content["causes"] else ""
-    return f"alarms: {content['alarms']}{of}; on {_on(content):.3g} % of the time (without the first {STARTING:g} s of each series)"
+    return f"alarms: {content['alarms']}{of}; on {plain(_on(content))} % of the time (without the first {STARTING:g} s of each series)"
 
 
 def _on(content: dict[str, Any]) -> float:

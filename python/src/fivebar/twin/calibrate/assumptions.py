@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from fivebar.plain import plain
 from fivebar.twin.calibrate.data import Data, Samples
 from fivebar.twin.calibrate.parameters import Values
 from fivebar.twin.recording import Array
@@ -78,7 +79,7 @@ def held(data: Data, left: Array) -> str:
         )
         if still < min(HELD, SURE * left[i]):
             return (
-                f"measured.theta[{i + 1}] stands still within {1e3 * still:.2g} mrad: a drive that holds it, or friction, is missing in the scene "
+                f"measured.theta[{i + 1}] stands still within {plain(1e3 * still, 2)} mrad: a drive that holds it, or friction, is missing in the scene "
                 "(servo.enabled) or in the record (servo.theta)"
             )
     return ""

@@ -17,6 +17,7 @@ import numpy as np
 from fivebar import scene as scenes_of
 from fivebar.library import Library, shared
 from fivebar.links import doubts
+from fivebar.plain import plain
 from fivebar.scene import Scene
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import recording
@@ -413,7 +414,7 @@ def solve(
 
 def residuals(fit: Fit, time_scale: float, is_refused: bool, is_doubtful: bool) -> str:
     """A line about the residuals. `time_scale` is the number of successive ones that count as one."""
-    sigma = ", ".join(f"{1e3 * value:.3g}" for value in fit.sigma)
+    sigma = ", ".join(plain(1e3 * value) for value in fit.sigma.tolist())
     found = f"residuals {sigma} mrad (encoders 1, 2), {fit.outliers} outliers left out"
     if fit.outliers >= most_outliers(len(fit.rows) + fit.outliers):
         found += ", as many as are allowed: other readings may be wrong, too"
@@ -429,10 +430,10 @@ def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
     """Why a fit is rejected, and why its errors may exceed the error bars; "" without a reason."""
     worst = int(np.argmax(fit.sigma))
     residual, shown = float(fit.sigma[worst]), 10 * float(tenth[worst])
-    text = f"residuals of encoder {worst + 1} are {1e3 * residual:.3g} mrad after the fit, with encoder noise of {1e3 * shown:.2g} mrad"
+    text = f"residuals of encoder {worst + 1} are {plain(1e3 * residual)} mrad after the fit, with encoder noise of {plain(1e3 * shown, 2)} mrad"
     if residual > WRONG and fit.rms_before < SMALL:
         return (
-            f"refused: the fit failed: {text}. Before the fit they were {1e3 * fit.rms_before:.2g} mrad, over short pieces with the scene's values: the results are rejected",
+            f"refused: the fit failed: {text}. Before the fit they were {plain(1e3 * fit.rms_before, 2)} mrad, over short pieces with the scene's values: the results are rejected",
             "",
         )
     if residual > WRONG:

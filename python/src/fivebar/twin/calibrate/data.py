@@ -11,6 +11,7 @@ import numpy as np
 
 from fivebar.errors import warn
 from fivebar.library import Library
+from fivebar.plain import plain
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import record, recording, turn
 from fivebar.twin.errors import Refused, TwinError
@@ -140,8 +141,8 @@ def check(data: Data) -> None:
     moved, led = (np.diff(np.nanquantile(each, (0.01, 0.99), axis=0), axis=0)[0] for each in (angles, commanded))
     if float(led.max()) > MOVES and np.all(~(moved > 0.02 * led.max())):
         raise TwinError(
-            f"the measured angles stand still (they move by {1e3 * float(np.nan_to_num(moved).max()):.3g} mrad) while servo commands move "
-            f"by {1e3 * float(led.max()):.3g} mrad: are the drives off, or is this another machine's record?"
+            f"the measured angles stand still (they move by {plain(1e3 * float(np.nan_to_num(moved).max()))} mrad) while servo commands move "
+            f"by {plain(1e3 * float(led.max()))} mrad: are the drives off, or is this another machine's record?"
         )
 
     def apart(columns: list[int]) -> float:

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from fivebar.plain import plain
 from fivebar.twin.calibrate import assumptions
 from fivebar.twin.calibrate.data import Data, Samples
 from fivebar.twin.calibrate.motion import LOST, Between, Machine, Path, Start
@@ -120,7 +121,7 @@ class Stage:
 
     def sentence(self) -> str:
         """The stage in words."""
-        return f"{self.name}, pieces of {self.seconds:g} s: residuals of {1e3 * self.before:.3g} mrad become {1e3 * self.after:.3g} mrad"
+        return f"{self.name}, pieces of {self.seconds:g} s: residuals of {plain(1e3 * self.before)} mrad become {plain(1e3 * self.after)} mrad"
 
 
 class TimeLimitExceeded(TwinError):
@@ -550,8 +551,8 @@ class Fitter:
         found = self.under(best, count, prior, lengths, True)
         if found < assumptions.SURE * float(np.mean(left)):
             raise TwinError(
-                f"{best.sentence}: over pieces of {lengths[0]:g} s, residuals are {1e3 * found:.2g} mrad with this change, "
-                f"and {1e3 * float(np.mean(left)):.2g} mrad without it"
+                f"{best.sentence}: over pieces of {lengths[0]:g} s, residuals are {plain(1e3 * found, 2)} mrad with this change, "
+                f"and {plain(1e3 * float(np.mean(left)), 2)} mrad without it"
             )
 
     def under(

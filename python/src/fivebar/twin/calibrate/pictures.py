@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from fivebar.colours import LEFT, RIGHT, TIP
 from fivebar.drawing import FAINT, INK, STYLE, WRONG, save
+from fivebar.plain import plain
 from fivebar.twin.calibrate.fit import Fit
 from fivebar.twin.calibrate.identify import Judgement, interval
 from fivebar.twin.calibrate.parameters import Parameter
@@ -39,7 +40,7 @@ def _residuals(fit: Fit) -> Figure:
         axes.axhspan(-2 * sigma, 2 * sigma, color=FAINT, alpha=0.25, linewidth=0)
         axes.set_ylim(-6.5 * sigma, 6.5 * sigma)
         axes.set_ylabel("measured − computed  (mrad)")
-        axes.set_title(f"Encoder {i + 1}: σ = {sigma:.3g} mrad; band: ±2 σ; crosses: not compared")
+        axes.set_title(f"Encoder {i + 1}: σ = {plain(sigma)} mrad; band: ±2 σ; crosses: not compared")
         values = np.concatenate(kept)
         edges = np.linspace(-5 * sigma, 5 * sigma, 61)
         side.hist(values, edges, orientation="horizontal", color=colour, alpha=0.6)

@@ -15,6 +15,7 @@ import numpy as np
 from fivebar import scene as scenes
 from fivebar.errors import FiveBarError
 from fivebar.kinematics import Machine
+from fivebar.plain import plain
 from fivebar.scene import Scene
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import config as configuration
@@ -281,7 +282,7 @@ def _assignment(verdict: Verdict) -> Iterator[Finding]:
         yield Finding(
             "fix",
             "reach",
-            f"{100 * verdict.beyond:.3g} % of the samples are beyond the machine's reach: are lengths, zeros and signs right?",
+            f"{plain(100 * verdict.beyond)} % of the samples are beyond the machine's reach: are lengths, zeros and signs right?",
         )
     else:
         yield Finding("ok", "reach", "the machine reaches the samples")
@@ -353,6 +354,6 @@ def _estimator(measured: Quality, scene: Scene, report: Report) -> None:
             Finding(
                 "fix",
                 "noise",
-                f"{measured.name} has an error of {1e3 * error:.3g} mrad by steps and noise, but the twin assumes {1e3 * assumed:.3g} mrad",
+                f"{measured.name} has an error of {plain(1e3 * error)} mrad by steps and noise, but the twin assumes {plain(1e3 * assumed)} mrad",
             )
         )

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from fivebar.plain import plain
 from fivebar.twin.messages import MEASURED, SERVOS, TORQUES
 from fivebar.twin.recording import FEWEST as SERIES
 from fivebar.twin.recording import Array, Recording, distinct
@@ -80,13 +81,13 @@ class Quality:
 
     def sentence(self) -> str:
         """The figures in one line."""
-        step = f"steps of {1e3 * self.step:.4g} mrad" if self.step else "no steps seen"
-        noise = f"noise {1e3 * self.noise:.3g} mrad" if self.noise or not self.step else "noise below the steps"
+        step = f"steps of {plain(1e3 * self.step, 4)} mrad" if self.step else "no steps seen"
+        noise = f"noise {plain(1e3 * self.noise)} mrad" if self.noise or not self.step else "noise below the steps"
         lost = f"{self.lost} lost" + (
             f", longest gap {self.gaps[0].length:.3g} s at {self.gaps[0].begin:.3f} s" if self.gaps else ""
         )
         rates = " and ".join(f"{1 / period:.4g}" for period in self.periods)
-        rate = f"{rates} Hz, jitter {1e3 * self.jitter:.3g} ms" if self.periods else "one sample"
+        rate = f"{rates} Hz, jitter {plain(round(1e3 * self.jitter, 6))} ms" if self.periods else "one sample"
         return f"{self.name}: {self.samples} samples, {rate}, {lost}; {step}, {noise}"
 
     def settings(self) -> dict[str, float]:
