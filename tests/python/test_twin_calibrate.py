@@ -13,6 +13,7 @@ from dataclasses import FrozenInstanceError, replace
 from decimal import Decimal
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas
@@ -926,9 +927,36 @@ def test_the_origin_of_time_does_not_matter(fmu: Path, library: Library, tmp_pat
     assert np.array_equal(tables[0].time, tables[1].time) and np.array_equal(tables[0].angles, tables[1].angles)
 
 
+def residuals_of(*encoders: np.ndarray) -> dict[str, list[Any]]:
+    """Pieces and residuals of a fit, with the given residuals of one encoder, or of both, in two pieces."""
+    gaps = np.column_stack([encoders[0], encoders[-1]])
+    halves = np.array_split(gaps, 2)
+    return {"pieces": [SimpleNamespace(mask=np.isfinite(half)) for half in halves], "residuals": halves}
+
+
+@pytest.mark.parametrize(("zero", "begin"), [(0.03, "warning: "), (-0.06, "refused: ")])
+def test_a_constant_residual_is_a_wrong_zero(zero: float, begin: str) -> None:
+    """Missing readings do not count; a residual that changes is no zero."""
+    wave = 1e-3 * np.sin(np.arange(100.0))
+    off = zero + wave
+    off[30] = np.nan
+    found = SimpleNamespace(sigma=np.array([1e-4, abs(zero)]), rms_before=abs(zero), **residuals_of(wave, off))
+    told = "".join(calibration.suspicion(found, np.array([1e-5, 1e-5])))
+    assert told.startswith(f"{begin}residuals of encoder 2 are {round(1e3 * abs(zero))} mrad after the fit")
+    assert f"as if the zero of this encoder were {zero:+.4f} rad off" in told
+    assert f'(in a map of `fivebar import`, add {-zero:+.4f} to its "offset")' in told
+    found.residuals = [gaps * np.sin(np.arange(50.0))[:, None] for gaps in found.residuals]
+    told = "".join(calibration.suspicion(found, np.array([1e-5, 1e-5])))
+    assert (
+        "zero" not in told
+        and told.startswith(begin)
+        and ("scene is not this machine" in told or "effect that is not fitted" in told)
+    )
+
+
 def test_a_fit_that_fails_is_not_called_another_machine() -> None:
     """If the scene's own values follow short pieces, the scene is of this machine."""
-    found = SimpleNamespace(sigma=np.array([1.0, 1.0]), rms_before=1.7e-4)
+    found = SimpleNamespace(sigma=np.array([1.0, 1.0]), rms_before=1.7e-4, **residuals_of(np.sin(np.arange(50.0))))
     assert calibration.suspicion(found, np.array([1e-6, 1e-6]))[0].startswith(
         "refused: the fit failed: residuals of encoder 1 are 1000 mrad after the fit"
     )

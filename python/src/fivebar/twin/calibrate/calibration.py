@@ -42,6 +42,9 @@ WRONG: Final = 0.05
 ODD: Final = 10.0
 """Ratio of residuals to the noise of the encoders up to which there is no warning; residuals below `SMALL` never cause one."""
 
+CONSTANT: Final = 0.2
+"""Standard deviation of residuals that count as constant, relative to their median."""
+
 SMALL: Final = 1e-3
 """Residuals before the fit, rad, below which the scene is of this machine."""
 
@@ -426,6 +429,20 @@ def residuals(fit: Fit, time_scale: float, is_refused: bool, is_doubtful: bool) 
     return found
 
 
+def constant(fit: Fit, encoder: int) -> str:
+    """The end of a sentence, about the zero of an encoder, if its residuals hardly change, else ""."""
+    every = np.concatenate(
+        [gaps[piece.mask[:, encoder], encoder] for piece, gaps in zip(fit.pieces, fit.residuals, strict=True)]
+    )
+    middle, change = float(np.median(every)), float(np.std(every))
+    if not change < CONSTANT * abs(middle):
+        return ""
+    return (
+        f"; the residuals are constant within {plain(1e3 * change, 2)} mrad, as if the zero of this encoder were {middle:+.4f} rad off "
+        f'(in a map of `fivebar import`, add {-middle:+.4f} to its "offset")'
+    )
+
+
 def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
     """Why a fit is rejected, and why its errors may exceed the error bars; "" without a reason."""
     worst = int(np.argmax(fit.sigma))
@@ -436,12 +453,13 @@ def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
             f"refused: the fit failed: {text}. Before the fit they were {plain(1e3 * fit.rms_before, 2)} mrad, over short pieces with the scene's values: the results are rejected",
             "",
         )
+    zero = constant(fit, worst)
     if residual > WRONG:
-        return f"refused: {text}: the scene is not this machine, so the results are rejected", ""
+        return f"refused: {text}: the scene is not this machine, so the results are rejected{zero}", ""
     if residual > max(ODD * shown, SMALL):
         return (
             "",
-            f"warning: {text}: the machine has an effect that is not fitted, so values may be off by more than their error bars",
+            f"warning: {text}: the machine has an effect that is not fitted, so values may be off by more than their error bars{zero}",
         )
     return "", ""
 
