@@ -251,6 +251,26 @@ def test_a_machine_at_a_broker_gets_mounting_angles(capsys: pytest.CaptureFixtur
     assert check.run("machine.json", check.of_recording(listen.recorded("the broker", better, ""))) == 0
 
 
+@pytest.mark.parametrize(
+    ("servo", "commands", "named"),
+    [
+        (True, ["tau[1]", "tau[2]"], "tau[1] and tau[2] and no servo.theta[1] and servo.theta[2]"),
+        (True, ["tau[1]", "tau[2]", "servo.theta[1]"], "tau[2] and no servo.theta[2]"),
+        (True, ["tau[1]", "tau[2]", "servo.theta[1]", "servo.theta[2]"], ""),
+        (False, ["tau[1]", "tau[2]"], ""),
+    ],
+)
+def test_servos_that_are_on_without_commands_are_named(
+    servo: bool, commands: list[str], named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The scene's servos would hold, while the record has torques only."""
+    write_scene(**{"servo.enabled": servo, "servo.kp[1]": 1.5, "servo.kp[2]": 1.5})
+    write_csv(GRID, rounded(MOTION), **{name: MOTION[:, int(name[-2]) - 1] for name in commands})
+    _, found, _ = checked(capsys)
+    (line,) = found.get("drives", [("", "")])
+    assert line[0] == ("?" if named else "") and f"the record has {named}" in line[1] if named else not line[1]
+
+
 def test_a_record_of_the_twin_is_checked(capsys: pytest.CaptureFixture[str]) -> None:
     rows = [record.Row(where, at, k, payload) for k, (where, payload, at) in enumerate(samples(rounded(MOTION)))]
     Path("record").mkdir()

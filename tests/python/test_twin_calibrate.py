@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import warnings
 from dataclasses import FrozenInstanceError, replace
 from decimal import Decimal
 from pathlib import Path
@@ -22,6 +23,7 @@ import pytest
 import fivebar
 from fivebar import scene as scenes_of
 from fivebar.commands import main
+from fivebar.errors import MachineWarning
 from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import record, recording, setup
@@ -1045,6 +1047,20 @@ def test_unusable_records_are_refused(
     assert main(["calibrate", str(file), *common, *sought(names)]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert sentence in line
+
+
+def test_servos_that_are_on_without_commands_are_warned_of_first(library: Library) -> None:
+    """The scene's servos would hold, while the record has torques only; no fit is needed for the warning."""
+    columns = {name.replace("servo.theta", "tau"): x for name, x in made(library, ["payload.mass"], [1.0], 1.5).items()}
+    columns = {name: x for name, x in columns.items() if not name.startswith("servo")}
+    assumed = {"description": "before"} | BASE
+    with pytest.warns(
+        MachineWarning, match="the scene's servos are on, but the record has .* set servo.enabled to false"
+    ):
+        calibration.prepare(columns, assumed, ["payload.mass"], library, 0.0, 10.0, "")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        calibration.prepare(columns, assumed | {"servo.enabled": False}, ["payload.mass"], library, 0.0, 10.0, "")
 
 
 def test_a_record_of_another_machine_is_refused_in_the_first_line(

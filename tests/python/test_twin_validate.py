@@ -17,9 +17,10 @@ import pytest
 from conftest import REPOSITORY
 from fivebar import table
 from fivebar.commands import main
+from fivebar.errors import MachineWarning
 from fivebar.library import Library
 from fivebar.plain import plain
-from fivebar.twin import figures, held_out, scene, setup, torque_scale, validate
+from fivebar.twin import figures, held_out, scene, setup, starter, torque_scale, validate
 from fivebar.twin.errors import TwinError
 from fivebar.twin.held_out import HeldOut
 from fivebar.twin.soak import configured, machine
@@ -188,6 +189,26 @@ def test_a_record_that_cannot_be_followed_is_refused(
         table.write_columns(file, columns)
         assert main(["validate", str(file), "--scene", "swing", "--fmu", str(fmu), "--out", str(tmp_path / "out")]) == 2
         assert sentence in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_servos_that_are_on_without_commands_are_warned_of_first(
+    swing: Columns, fmu: Path, scenes: Path, tmp_path: Path
+) -> None:
+    """The warning comes with the first sample, before the record is played."""
+    torques = {f"tau[{i}]": np.full(len(swing["time"]), 0.01 * i) for i in (1, 2)}
+    table.write_columns(
+        tmp_path / "record.csv",
+        {name: column for name, column in swing.items() if not name.startswith("servo")} | torques,
+    )
+    given = json.loads((scenes / "swing.json").read_text(encoding="utf-8"))
+    gains = {"servo.enabled": True, "servo.kp[1]": 1.5, "servo.kp[2]": 1.5}
+    (tmp_path / "scene.json").write_text(json.dumps(given | gains), encoding="utf-8")
+    options = validate.Options(tmp_path / "record.csv", tmp_path / "scene.json", fmu, tmp_path / "out")
+    config = starter.configure(validate._of_recording(options), tmp_path)
+    with pytest.warns(
+        MachineWarning, match=r"the scene's servos are on, but the record has tau\[1\] and tau\[2\] and no"
+    ):
+        starter.check_followed(config, True)
 
 
 def test_the_encoders_of_a_scene_are_those_of_machine_and_twin(fmu: Path, scenes: Path, tmp_path: Path) -> None:

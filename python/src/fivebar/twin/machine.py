@@ -11,14 +11,14 @@ import math
 import random
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, warn
 from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import priority, process, recording, scene, setup
@@ -28,6 +28,7 @@ from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import LONGEST_GAP, Book, Rider
 from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED, TRACKED, Message, encode
 from fivebar.twin.setup import Setup
+from fivebar.variables import Value
 
 STORE_EVERY: Final = 200
 """Number of samples between two stored states."""
@@ -156,12 +157,18 @@ class Player:
         """Number of the next sample; at the end, one more than the last."""
         return int(self.numbers[self.row]) if self.row < len(self.numbers) else int(self.numbers[-1]) + 1
 
-    def check(self) -> None:
-        """Raises `TwinError` for a recording that no twin can follow, by the checks of a calibration."""
+    def check(self, values: Mapping[str, Value] | None = None) -> None:
+        """Raises `TwinError` for a recording that no twin can follow, by the checks of a calibration.
+
+        With `values`, all start values of the scene, it warns of servos without recorded commands.
+        """
         # Imported here because the machine process does not need the packages of a calibration.
         from fivebar.twin.calibrate import data
 
-        data.check(data.split(self.recording))
+        samples = data.split(self.recording)
+        data.check(samples)
+        if values is not None and (doubt := data.unled(samples, values)):
+            warn(doubt)
 
     def store(self) -> bytes:
         """The stored state."""

@@ -416,7 +416,7 @@ def check_followed(config: Config, stand_in: bool) -> None:
             machine: Player | StandIn
             if config.machine.csv:
                 machine = Player(config)
-                machine.check()
+                machine.check({**library.known.start, **known.values})
             else:
                 try:
                     machine = StandIn(config, library)

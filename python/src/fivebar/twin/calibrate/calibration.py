@@ -15,6 +15,7 @@ from typing import Any, Final, TypeVar, get_args
 import numpy as np
 
 from fivebar import scene as scenes_of
+from fivebar.errors import warn
 from fivebar.library import Library, shared
 from fivebar.links import doubts
 from fivebar.plain import plain
@@ -322,6 +323,8 @@ def prepare(
     given = data.read(record, begin, seconds, unit)
     data.check(given)
     assumed = scenes.assumed(scene, record, library)
+    if doubt := data.unled(given, {**library.known.start, **assumed.machine}):
+        warn(doubt)
     given = data.turned(given, library, assumed.machine)
     sought = parameters(names or usual(assumed.machine), library, assumed.machine)
     # A length that the user names as unknown gets no prior from the scene.

@@ -156,6 +156,28 @@ def check(data: Data) -> None:
         )
 
 
+def unled(data: Data, values: Mapping[str, Value]) -> str:
+    """A sentence about torques in the record while servos without recorded commands are on; "" without a doubt. `values`: all start values of the machine."""
+    names = data.series[0].names
+    if not values["servo.enabled"]:
+        return ""
+    torques = [
+        f"tau[{i}]"
+        for i in (1, 2)
+        if (float(values[f"servo.kp[{i}]"]) > 0 or float(values[f"servo.kd[{i}]"]) > 0)
+        and f"tau[{i}]" in names
+        and not any(f"{servo}[{i}]" in names for servo in ("servo.theta", "servo.omega"))
+        and any(np.any(series.commands[:, names.index(f"tau[{i}]")]) for series in data.series)
+    ]
+    if not torques:
+        return ""
+    needed = " and ".join(name.replace("tau", "servo.theta") for name in torques)
+    return (
+        f"the scene's servos are on, but the record has {' and '.join(torques)} and no {needed}: these servos are taken to hold a constant angle; "
+        "set servo.enabled to false if tau is the whole torque"
+    )
+
+
 def split(given: recording.Recording) -> Data:
     """Splits a recording at gaps and restarts of the clock; series of less than `FEWEST` samples are left out."""
     time, table = given.time, given.columns

@@ -170,7 +170,13 @@ def judge(scene: Scene, source: Source) -> Report:
     given, used = source.recording, source.used
     report = Report([*source.findings])
     measured = quality.measure(given)
-    report.findings += [*_units(source, scene), *_clock(given), *_rates(measured), *_encoders(given)]
+    report.findings += [
+        *_units(source, scene),
+        *_clock(given),
+        *_rates(measured),
+        *_encoders(given),
+        *_drives(given, scene),
+    ]
     if all(name in used.entries and np.isfinite(given.columns[name]).any() for name in MEASURED):
         verdict = guess.weighed(given, used, scene)
         report.is_unique = len(verdict.possible) == 1
@@ -250,6 +256,16 @@ def _encoders(given: Recording) -> Iterator[Finding]:
             )
         else:
             yield Finding("ok", "encoders", f"{name} moves by {moved:.3g} rad")
+
+
+def _drives(given: Recording, scene: Scene) -> Iterator[Finding]:
+    try:
+        doubt = data.unled(data.split(given), {**scene.variables.start, **scene.values})
+    except TwinError:
+        # `_encoders` reports it.
+        return
+    if doubt:
+        yield Finding("?", "drives", doubt)
 
 
 def _turns(given: Recording) -> Iterator[Finding]:
