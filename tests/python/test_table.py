@@ -49,6 +49,10 @@ ROWS = "0,1.5,0.25\n0.001,-1e-3,2\n"
         "# bench\n# " + HEAD + ROWS,
         "# 1,2,3\n" + HEAD + ROWS,
         "#,time,theta[1],tau[1],note\n1,0,1.5,.25,x\n2,1e-3,-.001,2,\n",
+        HEAD + "2026-11-29 10:00:00.000+00:00,1.5,0.25\n2026-11-29 10:00:00.001+00:00,-1e-3,2\n",
+        HEAD + "2026-11-29T10:00:59.9995Z,1.5,0.25\n2026-11-29T12:01:00.0005+0200,-1e-3,2\n",
+        HEAD + "2026-11-29 10:00:00,1.5,0.25\n2026-11-29 10:00:00.001000000,-1e-3,2\n",
+        "time [s];theta[1];tau[1]\n2026-12-31 23:59:59,999;1,5;0,25\n2027-01-01 00:00:00,000;-1e-3;2\n",
         HEAD + "1700000000,1.5,0.25\n1700000000.001,-1e-3,2\n",
     ],
 )
@@ -69,6 +73,13 @@ def test_a_cell_without_a_finite_number_is_none(tmp_path: Path) -> None:
     assert found.columns["time"][:-2].tolist() == list(range(len(cells))) and np.isnan(found.columns["time"][-2:]).all()
 
 
+def test_dates_without_a_value_are_none_and_keep_nanoseconds(tmp_path: Path) -> None:
+    rows = ["", "2026-11-29T10:00:00.123456789", "NaT", "2026-11-29T10:00:00.123456790"]
+    found = read(tmp_path, "time,theta[1]\n" + "".join(f"{row},{k}\n" for k, row in enumerate(rows)))
+    assert np.isnan(found.columns["time"][[0, 2]]).all() and found.columns["time"][[1, 3]].tolist() == [0.0, 1e-9]
+    assert found.units == {"time": "s"}
+
+
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
@@ -77,7 +88,12 @@ def test_a_cell_without_a_finite_number_is_none(tmp_path: Path) -> None:
         ("time,note,note\n0,1,2\n", "it has 2 columns note; each name must be unique"),
         ("time,tau[1]\n0,1\n1,x\n", "tau[1] in row 2 is 'x', which is not a number"),
         ("time;tau[1]\n0;1.000,5\n", "tau[1] in row 1 is '1.000,5', which is not a number"),
-        ("time,tau[1]\n0,1\n12:03,1\n", "time in row 2 is '12:03', which is not a number"),
+        ("time,tau[1]\n0,1\n12:03,1\n", "time in row 2 is '12:03', which is not a number or a date such as 2026-11-29T10:00:00.005"),
+        ("time,tau[1]\n2026-11-29T10:00:00,1\n0.005,1\n", "time in row 2 is '0.005', which is not a date such as 2026-11-29T10:00:00.005"),
+        ("time,tau[1]\n0,1\n2026-11-29T10:00:00,1\n", "time in row 2 is '2026-11-29T10:00:00', which is not a number"),
+        ("time,tau[1]\n2026-11-29T10:00.5,1\n", "time in row 1 is '2026-11-29T10:00.5', which is not a number or a date"),
+        ("time,tau[1]\n2026-13-29T10:00:00,1\n", "time in row 1 is '2026-13-29T10:00:00', which is not a date"),
+        ("time,tau[1]\n0,2026-11-29T10:00:00\n", "tau[1] in row 1 is '2026-11-29T10:00:00', which is not a number"),
         ("time,tau[1]\n0,5,1,5\n", "row 1 has 4 cells, but the head 2; a decimal comma needs semicolons or tabs"),
         ("time,tau[1]\n0,5\n1\n", "row 2 has 1 cells, but the head 2"),
         ('time,tau[1]\n0,"5\n', "it is no CSV: unexpected end of data"),

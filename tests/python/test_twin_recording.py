@@ -25,6 +25,7 @@ from fivebar.twin.calibrate import data
 from fivebar.twin.config import Config, Machine
 from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import LONGEST_GAP
+from fivebar.twin.importing import assemble, maps
 from fivebar.twin.machine import Player
 from fivebar.twin.messages import MEASURED
 from fivebar.twin.soak import configured
@@ -286,6 +287,20 @@ def test_a_table_in_parquet_is_read_as_its_csv(tmp_path: Path, clock: str) -> No
     for reads in (player, lambda file: data.read(file, 0.0, 10.0)):
         with pytest.raises(TwinError, match=r"has no column time \(s\); its head is theta\[1\], theta\[2\], note"):
             reads(file)
+
+
+@pytest.mark.parametrize("zone", [None, "UTC", "Europe/Berlin"])
+def test_dates_in_a_csv_are_taken_as_in_parquet(zone: str | None, tmp_path: Path) -> None:
+    """As pandas writes them: `recording`, with all decimals; calibration, twin and import read them."""
+    ns = 1_790_000_000_123_456_789 + np.round(1e9 * GRID).astype(np.int64)
+    dates = pandas.Series(pandas.to_datetime(ns)).dt.tz_localize(zone)
+    frame = pandas.DataFrame({"time": dates, "theta[1]": GRID, "theta[2]": GRID})
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    assert recording.read(tmp_path / "a.csv").time == pytest.approx(GRID, abs=1e-12)
+    assert assemble.recorded([tmp_path / "a.csv"], maps.Map())[0].time == pytest.approx(GRID, abs=1e-12)
+    frame.to_csv(tmp_path / "b.csv", index=False, header=False)
+    given = {"time": {"column": 1}, "measured.theta[1]": {"column": 2}, "measured.theta[2]": {"column": 3}}
+    assert assemble.recorded([tmp_path / "b.csv"], maps.parse(given))[0].time == pytest.approx(GRID, abs=1e-12)
 
 
 def test_a_missing_date_is_a_row_without_a_time() -> None:

@@ -12,6 +12,7 @@ from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from itertools import chain
 from pathlib import Path
@@ -26,11 +27,19 @@ from fivebar.errors import FiveBarError
 LARGEST = 1_000_000_000
 """Largest size of a table to read, bytes."""
 
-MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "null"))
+MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "nat", "null"))
 """Texts of cells without a number, in lower case."""
 
 UNIT = re.compile(r"(.+?)(?:\s+|(?!\[\d+]))\[([^][]*)]")
 """A name and its unit; a number in brackets directly after a name, as in `theta[1]`, belongs to the name."""
+
+DATE = re.compile(
+    r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?)(?:(?<=:\d\d:\d\d)[.,](\d+))?\s*(Z|[+-]\d\d(?::?\d\d)?)?",
+    re.ASCII | re.IGNORECASE,
+)
+"""An ISO 8601 date with its time of day, the decimals of its seconds and its zone."""
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """First line of a spreadsheet's table: the character between the columns."""
@@ -46,7 +55,7 @@ class Table:
     """The requested columns, (n) each."""
 
     units: dict[str, str]
-    """Units in the header by column name."""
+    """Units in the header by column name; dates have the unit s."""
 
     others: list[str]
     """Names of all other columns."""
@@ -56,8 +65,8 @@ def read(file: Path, wanted: Collection[str], counted: str, *, numbered: bool = 
     """Reads the columns `wanted` and `counted` that a table has. Raises FiveBarError, with one sentence that names the file.
 
     The first number of the column `counted` is subtracted from the column in decimal arithmetic: at times since 1970, above
-    1e9 s, floats have steps of 1e-7 s or more. With `numbered`, a first row of numbers is data, and the columns are called
-    1, 2, 3, ….
+    1e9 s, floats have steps of 1e-7 s or more. This column may also have dates of ISO 8601; a date without a zone is in UTC.
+    With `numbered`, a first row of numbers and dates is data, and the columns are called 1, 2, 3, ….
     """
     try:
         return _parse(encoding.read(file, LARGEST), wanted, counted, numbered)
@@ -69,7 +78,7 @@ def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> 
     lines = rows(text)
     first = next(lines, [])
     head = [named(cell) for cell in first]
-    if numbered and all(map(_is_number, first)):
+    if numbered and all(_is_number(cell) or _has_date(cell) for cell in first):
         head, lines = [(str(place), "") for place in range(1, len(first) + 1)], chain([first], lines)
     names = [name for name, _ in head]
     for name, count in Counter(filter(None, names)).items():
@@ -80,6 +89,7 @@ def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> 
     counted_place = names.index(counted) if counted in names else None
     counts = array("d")
     origin: Decimal | None = None
+    is_dated: bool | None = None
     for count, row in enumerate(lines, 1):
         if len(row) != len(head):
             comma = "; a decimal comma needs semicolons or tabs between the columns" if len(row) > len(head) else ""
@@ -87,20 +97,25 @@ def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> 
         name = counted
         try:
             if counted_place is not None:
-                value = _decimal(row[counted_place])
+                if is_dated is None and row[counted_place].strip().lower() not in MISSING:
+                    is_dated = _has_date(row[counted_place])
+                value = _date(row[counted_place]) if is_dated else _decimal(row[counted_place])
                 origin = value if origin is None and value.is_finite() else origin
                 counts.append(np.nan if origin is None or not value.is_finite() else float(value - origin))
             for name, place in places.items():
                 found[name].append(number(row[place]))
         except (InvalidOperation, ValueError):
             cell = row[names.index(name)]
-            raise FiveBarError(f"{name} in row {count} is {cell!r:.60}, which is not a number") from None
+            allowed = "number"
+            if name == counted:
+                allowed = f"{'' if is_dated else 'number or a '}date such as 2026-11-29T10:00:00.005"
+            raise FiveBarError(f"{name} in row {count} is {cell!r:.60}, which is not a {allowed}") from None
     columns = {name: np.array(column) for name, column in found.items()}
     for column in columns.values():
         column[~np.isfinite(column)] = np.nan
     if counted_place is not None:
         columns[counted] = np.array(counts)
-    units = {name: unit for name, unit in head if unit}
+    units = {name: unit for name, unit in head if unit} | ({counted: "s"} if is_dated else {})
     return Table(columns, units, [name for name in names if name and name not in columns])
 
 
@@ -181,6 +196,22 @@ def _decimal(cell: str) -> Decimal:
         return Decimal(cell)
     except InvalidOperation:
         return Decimal(_pointed(cell))
+
+
+def _has_date(cell: str) -> bool:
+    """Whether a cell has a date."""
+    return DATE.fullmatch(cell.strip()) is not None
+
+
+def _date(cell: str) -> Decimal:
+    """The date in a cell as s since 1970, with all its decimals, or NaN for a cell without date. Raises ValueError for other text."""
+    text = cell.strip()
+    if text.lower() in MISSING:
+        return Decimal("nan")
+    if (found := DATE.fullmatch(text)) is None:
+        raise ValueError
+    moment = datetime.fromisoformat(f"{found[1]}{(found[3] or 'Z').upper()}") - EPOCH
+    return Decimal(86400 * moment.days + moment.seconds) + Decimal(f"0.{found[2] or 0}")
 
 
 def _pointed(cell: str) -> str:
