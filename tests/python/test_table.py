@@ -36,6 +36,9 @@ ROWS = "0,1.5,0.25\n0.001,-1e-3,2\n"
         (HEAD + ROWS).replace(",", "\t").replace(".", ","),
         '"time","theta[1]","tau[1]"\n"0","1,5","0,25"\n"0,001","-1e-3","2"\n',
         "time [s],theta[1] [rad],tau[1] [N.m]\n" + ROWS,
+        "time (s),theta[1] (rad),tau[1] (N.m)\n" + ROWS,
+        "time( s ),theta[1](rad),tau[1] ( N·m )\n" + ROWS,
+        "time,time (ms),theta[1],theta[1] (deg),tau[1],tau[1] (filtered)\n0,0,1.5,86,.25,x\n1e-3,1,-.001,0,2,x\n",
         "time[s],theta[1][rad],tau[1] [ N.m ]\n" + ROWS,
         b"\xef\xbb\xbf" + (HEAD + ROWS).encode(),
         (HEAD + ROWS).encode("utf-16"),
@@ -73,6 +76,14 @@ def test_a_cell_without_a_finite_number_is_none(tmp_path: Path) -> None:
     assert found.columns["time"][:-2].tolist() == list(range(len(cells))) and np.isnan(found.columns["time"][-2:]).all()
 
 
+def test_units_in_parentheses_are_units_of_the_head_unless_the_name_is_wanted_with_them(tmp_path: Path) -> None:
+    head = "time (ms),theta[1] (deg),tau[1] (at rest),theta(2)\n"
+    found = read(tmp_path, head + "0,1,2,3\n")
+    assert found.units == {"time": "ms", "theta[1]": "deg"} and found.others == ["tau[1] (at rest)", "theta(2)"]
+    found = table.read(tmp_path / "a.csv", ("theta[1] (deg)",), "time (ms)")
+    assert set(found.columns) == {"time (ms)", "theta[1] (deg)"} and not found.units
+
+
 def test_dates_without_a_value_are_none_and_keep_nanoseconds(tmp_path: Path) -> None:
     rows = ["", "2026-11-29T10:00:00.123456789", "NaT", "2026-11-29T10:00:00.123456790"]
     found = read(tmp_path, "time,theta[1]\n" + "".join(f"{row},{k}\n" for k, row in enumerate(rows)))
@@ -85,6 +96,7 @@ def test_dates_without_a_value_are_none_and_keep_nanoseconds(tmp_path: Path) -> 
     [
         ("time,tau[1],tau[1]\n0,1,2\n", "it has 2 columns tau[1]; each name must be unique"),
         ("time,tau[1],tau[1] [N.m]\n0,1,2\n", "it has 2 columns tau[1]; each name must be unique"),
+        ("time,tau[1] (N.m),tau[1] (mN.m)\n0,1,2\n", "it has 2 columns tau[1]; each name must be unique"),
         ("time,note,note\n0,1,2\n", "it has 2 columns note; each name must be unique"),
         ("time,tau[1]\n0,1\n1,x\n", "tau[1] in row 2 is 'x', which is not a number"),
         ("time;tau[1]\n0;1.000,5\n", "tau[1] in row 1 is '1.000,5', which is not a number"),

@@ -124,6 +124,8 @@ def test_times_with_too_few_digits_are_refused(tmp_path: Path, time: np.ndarray,
     [
         ("time [ms],theta[1],theta[2]", "time is in ms, but s is expected"),
         ("time,theta[1] [deg],theta[2]", "theta[1] is in deg, but rad is expected"),
+        ("time,theta[1],theta[2] (deg)", "theta[2] is in deg, but rad is expected"),
+        ("time (ms),theta[1],theta[2]", "time is in ms, but s is expected"),
         (
             "t,theta[1],theta[2]",
             "has no column time (s); its head is theta[1], theta[2], t; commas, semicolons or tabs",
@@ -163,8 +165,8 @@ def test_a_table_without_samples_is_refused(tmp_path: Path, rows: str, sentence:
 
 
 def test_a_missing_encoder_is_named(tmp_path: Path) -> None:
-    file = table(tmp_path, 2 * GRID, "time,theta[1],measured.theta[2] (deg)")
-    sentence = f"{file} has no number in measured.theta[2]; both encoders are needed; columns that are not used: measured.theta[2] (deg)"
+    file = table(tmp_path, 2 * GRID, "time,theta[1],measured.theta[2] (raw)")
+    sentence = f"{file} has no number in measured.theta[2]; both encoders are needed; columns that are not used: measured.theta[2] (raw)"
     with pytest.warns(MachineWarning), pytest.raises(TwinError, match=f"^{re.escape(sentence)}$"):
         data.check(data.read(file, 0.0, 10.0))
 
@@ -262,7 +264,7 @@ def test_a_folder_is_no_table(tmp_path: Path) -> None:
 
 
 def test_units_and_empty_columns_of_parquet_are_taken_as_in_csv(tmp_path: Path) -> None:
-    columns = {"time [s]": GRID, "theta[1] [rad]": GRID, "theta[2]": pa.nulls(len(GRID))}
+    columns = {"time (s)": GRID, "theta[1] [rad]": GRID, "theta[2]": pa.nulls(len(GRID))}
     pq.write_table(pa.table(columns), tmp_path / "a.parquet")
     found = recording.read(tmp_path / "a.parquet")
     assert found.columns["measured.theta[1]"].tolist() == GRID.tolist()
@@ -310,8 +312,9 @@ def test_a_missing_date_is_a_row_without_a_time() -> None:
 
 
 def test_units_may_stand_in_the_head(tmp_path: Path) -> None:
-    found = recording.read(table(tmp_path, GRID, "time [s],theta[1] [rad],tau[1] [N·m]"))
-    assert set(found.columns) == {"measured.theta[1]", "tau[1]"} and found.notes == []
+    for head in ("time [s],theta[1] [rad],tau[1] [N·m]", "time (s),theta[1] (rad),tau[1] (N·m)"):
+        found = recording.read(table(tmp_path, GRID, head))
+        assert set(found.columns) == {"measured.theta[1]", "tau[1]"} and found.notes == []
 
 
 def test_series_are_played_with_a_pause_and_lost_samples_are_counted(tmp_path: Path) -> None:

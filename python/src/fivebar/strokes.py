@@ -137,7 +137,7 @@ def _csv(content: bytes) -> Drawing:
 
 def _unit_of(header: list[str]) -> float:
     """The unit in a header's columns, m."""
-    found = [table.named(cell) for cell in header]
+    found = table.heads(header)
     names = [name.removeprefix("tip.") for name, _ in found]
     units = {unit or "mm" for _, unit in found[:2]}
     if names not in (["x", "y"], ["x", "y", "pen"]) or len(units) != 1 or not units <= set(UNITS):

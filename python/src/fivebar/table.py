@@ -2,7 +2,7 @@
 
 Tables are written with commas, numbers in full precision and plain names, so every CSV reader finds a variable by its name.
 Tables of spreadsheets and loggers can be read too: with commas, semicolons or tabs between the columns, a decimal comma,
-units in brackets after the names, `sep=` or comments before the head, and in any encoding that `fivebar.encoding` knows.
+units in brackets or parentheses after the names, `sep=` or comments before the head, and in any encoding that `fivebar.encoding` knows.
 """
 
 import csv
@@ -32,6 +32,37 @@ MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "nat", "null"))
 
 UNIT = re.compile(r"(.+?)(?:\s+|(?!\[\d+]))\[([^][]*)]")
 """A name and its unit; a number in brackets directly after a name, as in `theta[1]`, belongs to the name."""
+
+IN_PARENTHESES = re.compile(r"(.+?)\s*\(([^()]*)\)")
+"""A name and its unit, if the unit is one of `WORDS`."""
+
+ANGLES = ("rad", "mrad", "deg", "degree", "degrees", "°", "turn", "turns", "rev")
+
+WORDS = frozenset(
+    (
+        "s",
+        "sec",
+        "seconds",
+        "ms",
+        "us",
+        "µs",
+        "μs",
+        "ns",
+        "m",
+        "cm",
+        "mm",
+        "um",
+        "µm",
+        "μm",
+        "Nm",
+        "mNm",
+        "rpm",
+        "counts",
+        *ANGLES,
+    )
+    + tuple(f"{angle}/s" for angle in ANGLES)
+)
+"""Units that are recognised in parentheses, without spaces and multiplication signs; other words there may belong to the name."""
 
 DATE = re.compile(
     r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?)(?:(?<=:\d\d:\d\d)[.,](\d+))?\s*(Z|[+-]\d\d(?::?\d\d)?)?",
@@ -77,7 +108,7 @@ def read(file: Path, wanted: Collection[str], counted: str, *, numbered: bool = 
 def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> Table:
     lines = rows(text)
     first = next(lines, [])
-    head = [named(cell) for cell in first]
+    head = heads(first, {*wanted, counted})
     if numbered and all(_is_number(cell) or _has_date(cell) for cell in first):
         head, lines = [(str(place), "") for place in range(1, len(first) + 1)], chain([first], lines)
     names = [name for name, _ in head]
@@ -162,10 +193,29 @@ def _first(line: str, separator: str) -> list[str]:
         return []
 
 
-def named(cell: str) -> tuple[str, str]:
-    """The name of a column and its unit, or "" if there is no unit."""
-    found = UNIT.fullmatch(cell.strip())
-    return (found[1], found[2].strip()) if found else (cell.strip(), "")
+def heads(cells: Sequence[str], wanted: Collection[str] = ()) -> list[tuple[str, str]]:
+    """Names and units of the columns of a table, in order; "" if there is no unit.
+
+    A name that is in `wanted` with its unit in parentheses keeps it, and so does a name of which there is also a column without.
+    """
+    found = [_named(cell.strip()) for cell in cells]
+    names = {name for name, _ in found}
+    for place, (name, _) in enumerate(found):
+        match = IN_PARENTHESES.fullmatch(name)
+        if (
+            match
+            and name not in wanted
+            and match[1] not in names
+            and "".join(c for c in match[2] if c not in " .·*") in WORDS
+        ):
+            found[place] = match[1], match[2].strip()
+    return found
+
+
+def _named(cell: str) -> tuple[str, str]:
+    """The name of a column and its unit in brackets, or "" if there is no unit."""
+    found = UNIT.fullmatch(cell)
+    return (found[1], found[2].strip()) if found else (cell, "")
 
 
 def number(cell: str) -> float:

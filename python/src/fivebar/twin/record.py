@@ -91,14 +91,13 @@ def is_of_twin(file: Path) -> bool:
 
 
 def table_of(file: Path, wanted: Collection[str], counted: str) -> table.Table:
-    """Reads columns of a table of numbers in Parquet, as `table.read` does from CSV, with units in brackets after the names too.
+    """Reads columns of a table of numbers in Parquet, as `table.read` does from CSV, with units in brackets or parentheses after the names too.
 
     Columns of dates and durations have the unit ns.
     """
     schema = _file(file).schema_arrow
     heads: dict[str, tuple[str, str]] = {}
-    for column in schema.names:
-        name, unit = table.named(column)
+    for column, (name, unit) in zip(schema.names, table.heads(schema.names, {*wanted, counted}), strict=True):
         if name in heads:
             raise TwinError(f"{file} has two columns {name:.60}; each name must be unique")
         heads[name] = column, unit
