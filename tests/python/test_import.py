@@ -162,6 +162,24 @@ def test_files_with_different_columns(tmp_path: Path, capsys: pytest.CaptureFixt
         assert f"{line}\n" in printed, line
 
 
+@pytest.mark.parametrize("has_map", [True, False])
+def test_commands_in_another_file_are_refused_with_the_meaning_of_several_files(
+    has_map: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In either order of the files."""
+    encoders = write_csv(tmp_path / "a.csv", "time,theta[1],theta[2]", GRID, LEFT, RIGHT)
+    commands = write_csv(tmp_path / "b.csv", "time,tau[1]", GRID, 0 * GRID)
+    given = write_map(
+        tmp_path, t1={"column": "theta[1]"}, t2={"column": "theta[2]"}, **{"tau[1]": {"column": "tau[1]"}}
+    )
+    words = ["--map", str(given)] if has_map else []
+    for files in ((encoders, commands), (commands, encoders)):
+        assert main(["import", *map(str, files), *words, "-o", str(tmp_path / "c.csv")]) == 2
+        error = capsys.readouterr().err
+        assert "several files are series with the same columns: commands in a file of their own must" in error
+        assert error.count("\n") == 1 and not (tmp_path / "c.csv").exists()
+
+
 # --- bags -----------------------------------------------------------------------------------------------------------------------------
 
 

@@ -36,31 +36,9 @@ UNIT = re.compile(r"(.+?)(?:\s+|(?!\[\d+]))\[([^][]*)]")
 IN_PARENTHESES = re.compile(r"(.+?)\s*\(([^()]*)\)")
 """A name and its unit, if the unit is one of `WORDS`."""
 
-ANGLES = ("rad", "mrad", "deg", "degree", "degrees", "°", "turn", "turns", "rev")
-
 WORDS = frozenset(
-    (
-        "s",
-        "sec",
-        "seconds",
-        "ms",
-        "us",
-        "µs",
-        "μs",
-        "ns",
-        "m",
-        "cm",
-        "mm",
-        "um",
-        "µm",
-        "μm",
-        "Nm",
-        "mNm",
-        "rpm",
-        "counts",
-        *ANGLES,
-    )
-    + tuple(f"{angle}/s" for angle in ANGLES)
+    "s sec seconds ms us µs μs ns m cm mm um µm μm Nm mNm rpm counts rad mrad deg degree degrees ° turn turns rev "
+    "rad/s mrad/s deg/s degree/s degrees/s °/s turn/s turns/s rev/s".split()
 )
 """Units that are recognised in parentheses, without spaces and multiplication signs; other words there may belong to the name."""
 

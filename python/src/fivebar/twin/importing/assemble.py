@@ -11,7 +11,7 @@ from fivebar.errors import FiveBarError
 from fivebar.twin import recording
 from fivebar.twin.importing import sources
 from fivebar.twin.importing.maps import PASSIVE, VARIABLES, Entry, Map
-from fivebar.twin.importing.sources import Stream
+from fivebar.twin.importing.sources import MissingColumn, Stream
 from fivebar.twin.messages import INPUTS, MEASURED
 from fivebar.twin.recording import TIME, Array, Recording
 
@@ -26,8 +26,15 @@ def recorded(files: Sequence[Path], given: Map) -> tuple[Recording, Map]:
     """
     clocks, tables, notes, used, last = [], [], [], given, 0.0
     for file in files:
-        of_file = given if given.entries else named(file, given)
-        clock, columns, own = _rows(file, of_file)
+        try:
+            of_file = given if given.entries else named(file, given)
+            clock, columns, own = _rows(file, of_file)
+        except MissingColumn as error:
+            if len(files) == 1:
+                raise
+            raise FiveBarError(
+                f"{error}; several files are series with the same columns: commands in a file of their own must first be joined with the encoders by time"
+            ) from None
         known = clock[np.isfinite(clock)]
         if not len(known):
             raise FiveBarError(f"{file} has no row with a time")
@@ -72,7 +79,7 @@ def named(file: Path, given: Map) -> Map:
     found = {others.get(name, name): Entry(name) for name in columns if name in VARIABLES or name in others}
     found |= {name: Entry(name) for name in MEASURED if name in columns}
     if not any(name in found for name in MEASURED):
-        raise FiveBarError(
+        raise MissingColumn(
             f"{file} has no column {MEASURED[0]} or {MEASURED[1]}; without --map these names are needed, and its columns are {sources.listed(columns)}"
         )
     return given.exchanged(found)

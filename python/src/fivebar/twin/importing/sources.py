@@ -25,6 +25,10 @@ LISTED: Final = 40
 """Maximum number of columns listed in a sentence."""
 
 
+class MissingColumn(FiveBarError):
+    """A file has no column of this name."""
+
+
 @dataclass(frozen=True)
 class Stream:
     """Columns with a common clock: from a table or from a topic."""
@@ -47,7 +51,7 @@ def read(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
     found = _table(file, wanted, clock)
     for name in (clock, *wanted):
         if name not in found.columns:
-            raise FiveBarError(
+            raise MissingColumn(
                 f"{file} has no column {name}; its columns are {listed([*found.columns, *found.others])}"
             )
     columns = dict(found.columns)
@@ -102,7 +106,7 @@ def _bag(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
             by_topic.setdefault(message.topic, []).append(message)
     found = {name for messages in by_topic.values() for message in messages for name in message.numbers}
     if missing := [name for name in wanted if name not in found]:
-        raise FiveBarError(f"{file} has no column {missing[0]}; its columns are {listed(names(file, clock))}")
+        raise MissingColumn(f"{file} has no column {missing[0]}; its columns are {listed(names(file, clock))}")
     unstamped = [topic for topic, messages in by_topic.items() if any(not message.stamp for message in messages)]
     if unstamped and clock == STAMP:
         raise FiveBarError(f"{file} has messages without a stamp in {unstamped[0]}: the clock {RECEIVED} is needed")
