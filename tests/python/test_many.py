@@ -93,6 +93,9 @@ def test_a_script_without_its_guard_says_what_is_missing(tmp_path: Path) -> None
     script.write_text(f"import fivebar\n{call}\n")
     wrong = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert wrong.returncode == 1 and 'a script must call run_many below `if __name__ == "__main__":`' in wrong.stderr
+    assert wrong.stderr.count("Traceback") == 1 and wrong.stderr.splitlines()[-1].startswith(
+        "fivebar.errors.FiveBarError"
+    )
     script.write_text(f"import fivebar\nif __name__ == '__main__':\n    {call}\n")
     right = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert right.stdout == "2\n"

@@ -3,11 +3,13 @@
 import multiprocessing
 import os
 import pickle
+import sys
 import tempfile
 from collections.abc import Callable, Generator, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,9 @@ from fivebar.variables import shown
 
 MOST_PROCESSES = 61
 """Largest number of processes in a pool on Windows."""
+
+WORKER = "fivebar.run_many"
+"""Name of the worker processes."""
 
 Given = str | Path | Mapping[str, Any] | Scene
 Reduce = Callable[[Result], Any]
@@ -122,15 +127,30 @@ def _run(task: tuple[int, Scene, tuple[str, ...], Reduce | None]) -> Outcome:
     return number, None, result if reduce is None else reduce(result)
 
 
+class _Worker(SpawnProcess):
+    """A process whose name is known while it imports the script."""
+
+    def __init__(self, *given: Any, **named: Any):
+        super().__init__(*given, **named)
+        self.name = WORKER
+
+
+class _Context(SpawnContext):
+    Process = _Worker
+
+
 def _in_processes(
     tasks: list[tuple[int, Scene, tuple[str, ...], Reduce | None]], count: int
 ) -> Generator[Outcome, None, None]:
     """Outcomes in order of completion. Processes are spawned: a fork would not copy the threads of other libraries."""
-    context = multiprocessing.get_context("spawn")
+    own = multiprocessing.current_process()
+    if own.name == WORKER and getattr(own, "_inheriting", False):
+        # A worker imports a script that has no guard. The parent reports it; the worker's traceback would say less.
+        sys.exit(1)
     # On Windows the library of a process that was killed may still be locked.
     with (
         tempfile.TemporaryDirectory(prefix="fivebar-", ignore_cleanup_errors=True) as folder,
-        ProcessPoolExecutor(count, context, initializer=_begin, initargs=(folder,)) as pool,
+        ProcessPoolExecutor(count, _Context(), initializer=_begin, initargs=(folder,)) as pool,
     ):
         try:
             for future in as_completed([pool.submit(_run, task) for task in tasks]):
