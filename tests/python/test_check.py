@@ -13,8 +13,10 @@ import paho.mqtt.client as mqtt
 import pytest
 
 from conftest import wait_until
+from fivebar import scene as scenes
 from fivebar.commands import main
 from fivebar.kinematics import Machine as Kinematics
+from fivebar.statics import holding_torques
 from fivebar.twin import config as configuration
 from fivebar.twin import listen, record
 from fivebar.twin.config import Broker, Config
@@ -269,6 +271,28 @@ def test_servos_that_are_on_without_commands_are_named(
     _, found, _ = checked(capsys)
     (line,) = found.get("drives", [("", "")])
     assert line[0] == ("?" if named else "") and f"the record has {named}" in line[1] if named else not line[1]
+
+
+def test_a_zero_from_commands_is_without_the_deflection_of_the_servos(capsys: pytest.CaptureFixture[str]) -> None:
+    """Encoder 2 is off by 50 mrad, and the servos give way to the weight by 5 mrad or more, on average."""
+    write_scene(**{"servo.enabled": True, "servo.kp[1]": 1.5, "servo.kp[2]": 1.0})
+    machine = scenes.read("machine.json")
+    deflections = holding_torques(machine, Kinematics.from_scene(machine).forward(MOTION).theta) / [1.5, 1.0]
+    assert np.all(np.abs(deflections.mean(axis=0)) > 5e-3)
+    commands = {f"servo.theta[{i + 1}]": MOTION[:, i] for i in (0, 1)}
+    write_csv(GRID, rounded(MOTION - deflections + [0.0, 0.05]), **commands)
+    _, found, _ = checked(capsys)
+    for (state, sentence), expected, zero, mean in zip(
+        found["zeros"], ("ok", "fix"), (0.0, -0.05), deflections.mean(axis=0), strict=True
+    ):
+        # The means of 400 rounded angles are within the last of four printed decimals.
+        assert state == expected and float(sentence.split()[2]) == pytest.approx(zero, abs=1.1e-4)
+        assert f"without the servo's mean deflection of {1e3 * mean:.2g} mrad under load" in sentence
+    write_scene()
+    _, found, _ = checked(capsys)
+    for (_, sentence), zero in zip(found["zeros"], deflections.mean(axis=0) - [0.0, 0.05], strict=True):
+        assert float(sentence.split()[2]) == pytest.approx(zero, abs=1.1e-4)
+        assert "the drive's deflection under load is part of it, since the scene has no gain" in sentence
 
 
 def test_a_record_of_the_twin_is_checked(capsys: pytest.CaptureFixture[str]) -> None:

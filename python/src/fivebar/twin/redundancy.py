@@ -53,6 +53,12 @@ MOVES: Final = 0.05
 SURE: Final = 0.02
 """Maximum standard deviation of an identified zero, rad."""
 
+LENGTHS: Final = "for length errors of estimator.sigma0.length"
+"""Assumption behind zeros that a closed loop shows."""
+
+REGULAR: Final = 0.05
+"""Minimum sine between the distal links: nearer to a direct singularity, torques grow without bound."""
+
 CLOSED_OFF: Final = 1.0
 """Residual, rad, of a posture without a closed loop."""
 
@@ -117,6 +123,9 @@ class Evidence:
     most: float
     """Maximum misfit of the best assignment; above it, the machine is another one or was moved by hand."""
 
+    bases: tuple[str, str] = (LENGTHS, LENGTHS)
+    """For each motor angle, the assumption behind its zero."""
+
     @property
     def is_believed(self) -> bool:
         """Whether any assignment fits."""
@@ -155,6 +164,9 @@ class Verdict:
     sigma: Array
     """Standard deviations of the zeros, rad, (2); inf if not identified."""
 
+    bases: tuple[str, str]
+    """For each motor angle, the assumption behind its zero."""
+
     passive: tuple[Passive, Passive] | None
     """Left and right distal link, if both are recorded and fit."""
 
@@ -187,14 +199,16 @@ def weigh(given: Recording, scene: Scene, relative: tuple[bool, bool] = (False, 
         # Evidence that contradicts all remaining assignments is ignored: earlier evidence is stronger.
         possible = possible & each.fitting() or possible
     order = tuple(sorted(possible))
-    zeros, sigma = np.zeros(2), np.full(2, np.inf)
+    zeros, sigma, bases = np.zeros(2), np.full(2, np.inf), [LENGTHS, LENGTHS]
     for each in believed:
         fit = each.fits[order[0]]
         better = (fit.sigma < SURE) & ~np.isfinite(sigma)
+        bases = [new if is_better else old for new, old, is_better in zip(each.bases, bases, better, strict=True)]
         zeros, sigma = np.where(better, fit.zeros, zeros), np.where(better, fit.sigma, sigma)
     chosen = ASSIGNMENTS[order[0]]
     passive = loop.legs(chosen, zeros) if loop.passive is not None and evidence[0].is_believed else None
-    return Verdict(tuple(evidence), order, zeros, sigma, passive, loop.beyond(chosen.angles(loop.encoders) + zeros))
+    beyond = loop.beyond(chosen.angles(loop.encoders) + zeros)
+    return Verdict(tuple(evidence), order, zeros, sigma, (bases[0], bases[1]), passive, beyond)
 
 
 class _Loop:
@@ -297,7 +311,7 @@ class _Loop:
         assert self.torques is not None
         closes, theta, _ = self.postures(motors)
         found = np.full(motors.shape, np.nan)
-        regular = closes & (np.abs(np.sin(theta[..., 2] - theta[..., 1])) > 0.05)
+        regular = closes & (np.abs(np.sin(theta[..., 2] - theta[..., 1])) > REGULAR)
         found[regular] = holding_torques(self.scene, theta[regular])
         spread = np.std(self.torques, axis=0)
         off = np.clip((found - self.torques[rows]) / spread, -3.0, 3.0)
@@ -357,17 +371,43 @@ class _Loop:
         return best
 
     def commanded(self) -> Evidence:
-        """Evidence from commands: the angles should follow them; the mean differences are the zeros."""
+        """Evidence from commands: the angles should follow them; the mean differences without the servos' deflections are the zeros."""
         assert self.commands is not None
         fits = []
+        deflections = self.deflections()
+        led = self.commands - np.nan_to_num(deflections)
         spread = np.std(self.commands, axis=0)
         for assignment in ASSIGNMENTS:
-            apart = self.commands - assignment.angles(self.encoders)
+            apart = led - assignment.angles(self.encoders)
             about = np.angle(np.mean(np.exp(1j * apart), axis=0))
             off = _wrapped(apart - about)
             sigma = np.std(off, axis=0)
             fits.append(Fit(float(np.sqrt(np.mean((off / spread) ** 2))), about, sigma))
-        return Evidence("commands", "of their variation", tuple(fits), 0.05, UNLIKE)
+        left, right = (
+            f"without the servo's mean deflection of {1e3 * mean + 0.0:.2g} mrad under load (servo.kp[{i}])"
+            if np.isfinite(mean)
+            else "and the drive's deflection under load is part of it, since the scene has no gain (servo.enabled, servo.kp)"
+            for i, mean in enumerate(deflections.mean(axis=0), 1)
+        )
+        return Evidence("commands", "of their variation", tuple(fits), 0.05, UNLIKE, (left, right))
+
+    def deflections(self) -> Array:
+        """Commands minus angles, rad, (n, 2), of the scene's servos at rest under weight, springs and recorded torques; NaN without servos or gains.
+
+        Near direct singularities and beyond the reach it is the mean of the other samples.
+        """
+        assert self.commands is not None
+        closes, theta, _ = self.postures(self.commands)
+        regular = closes & (np.abs(np.sin(theta[..., 2] - theta[..., 1])) > REGULAR)
+        gains = np.array([float(self.scene[f"servo.kp[{i}]"]) for i in (1, 2)])
+        if not self.scene["servo.enabled"] or not regular.any():
+            return np.full(self.commands.shape, np.nan)
+        torques = np.full(self.commands.shape, np.nan)
+        torques[regular] = holding_torques(self.scene, theta[regular])
+        if self.torques is not None:
+            torques = torques - self.torques
+        torques = np.where(np.isnan(torques), np.nanmean(torques, axis=0), torques)
+        return np.where(gains > 0, torques / np.where(gains > 0, gains, 1.0), np.nan)
 
     def legs(self, assignment: Assignment, zeros: Array) -> tuple[Passive, Passive]:
         """Column, sign and zero of each distal link."""

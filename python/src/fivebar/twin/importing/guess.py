@@ -68,10 +68,10 @@ def alike(verdict: Verdict) -> str:
 def zeros(verdict: Verdict) -> list[str]:
     """Sentences about the zeros."""
     return [
-        f"{name}: zero {zero:.4f} ± {sigma:.1g} rad relative to the map, for length errors of estimator.sigma0.length"
+        f"{name}: zero {zero:.4f} ± {sigma:.1g} rad relative to the map, {basis}"
         if np.isfinite(sigma)
         else f"{name}: its zero is not identified"
-        for name, zero, sigma in zip(MEASURED, verdict.zeros, verdict.sigma, strict=True)
+        for name, zero, sigma, basis in zip(MEASURED, verdict.zeros, verdict.sigma, verdict.bases, strict=True)
     ]
 
 
