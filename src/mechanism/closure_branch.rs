@@ -52,6 +52,12 @@ const LEAST_RATE: f64 = 1e-4;
 /// Smallest ratio of the deviation from any other branch to the deviation from the chosen branch.
 const TIMES: f64 = 100.0;
 
+/// Largest difference from a machine with branches, relative to the longest link, for which [`ClosureBranch::turn_in_line`] is given. Other
+/// machines turn so far from the posture with all links in line that the error of a step shows the turn.
+const LARGEST_DIFFERENCE: f64 = 1e-2;
+/// Largest error tolerance relative to [`ClosureBranch::turn_in_line`]: a larger error would hide the turn.
+pub const TOLERANCE_OF_TURN: f64 = 0.1;
+
 impl ClosureBranch {
     const ALL: [Self; 6] =
         [Self::Parallelogram, Self::Coincident, Self::Folded, Self::CrossedParallelogram, Self::Kite, Self::ElbowKite];
@@ -83,6 +89,20 @@ impl ClosureBranch {
     pub fn any_is_nearly_of(geometry: &Geometry, [length, base]: [f64; 2]) -> bool {
         let are_near = |[x, y]: [f64; 2]| (x - y).abs() <= length;
         geometry.base_distance <= base && Self::ALL.into_iter().any(|branch| branch.pairs(geometry).into_iter().all(are_near))
+    }
+
+    /// Distance, rad, from the posture with all links in line within which a motion turns from one branch to another, if the machine nearly
+    /// has branches: the square root of its difference from a machine with branches, relative to the longest link. `None` for machines with
+    /// branches and for those that differ much.
+    pub fn turn_in_line(geometry: &Geometry) -> Option<f64> {
+        if Self::ALL.into_iter().any(|branch| branch.is_of(geometry)) {
+            return None;
+        }
+        let longest = geometry.lengths().into_iter().fold(0.0, f64::max);
+        let largest =
+            |branch: Self| branch.pairs(geometry).into_iter().map(|[x, y]| (x - y).abs()).fold(geometry.base_distance, f64::max);
+        let difference = Self::ALL.into_iter().map(largest).fold(f64::INFINITY, f64::min) / longest;
+        (difference <= LARGEST_DIFFERENCE).then(|| difference.max(f64::EPSILON).sqrt())
     }
 
     /// Lengths of the links of both pairs, m.

@@ -29,7 +29,7 @@ pub mod singularity;
 pub mod vertex;
 
 pub use closure::{Assembly, Start, close};
-pub use closure_branch::{BRANCH_ARM, ClosureBranch, ClosureTerms};
+pub use closure_branch::{BRANCH_ARM, ClosureBranch, ClosureTerms, TOLERANCE_OF_TURN};
 pub use constraints::Pose;
 pub use coordinates::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 pub use model::{Geometry, LINKS, Link, Mechanism, SceneError};

@@ -1,6 +1,9 @@
 //! Steps near a bifurcation of the closure with coaxial motors, a posture with all links in line. The twelve coordinates resolve neither
 //! the branch of the closure nor friction that sticks there, but the link angles on a closure branch are regular. So `i3alp` and the
 //! conserving method leave steps of a motion on a branch to this file.
+//!
+//! A machine with lengths nearly equal in pairs, or motors nearly coaxial, has no branches: its motion turns beside the posture, within the
+//! square root of the difference. Error estimates do not see a turn that a step jumps over, so steps are limited by the distance.
 
 use super::angles::{AngleSystem, Angles, LINK_INDICES, angles_of, legs};
 use super::five_bar::FiveBar;
@@ -8,8 +11,9 @@ use super::model::Model;
 use super::state::Core;
 use crate::integrator::dense::{DenseStep, Horizon, Schemes, Settings};
 use crate::integrator::{EnergyBalance, Events, Passage, Posed, Transit, equilibrium};
+
 use crate::mechanism::coordinates::angles_by_leg;
-use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates};
+use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, TOLERANCE_OF_TURN};
 
 /// Angular distance from the posture with all links in line, rad. Below it, the twelve coordinates may fail.
 const NEAR_BIFURCATION: f64 = 1e-2;
@@ -27,6 +31,17 @@ const MOST_WORK: u32 = 20_000;
 /// succeeds. At its start the closure determines rates only to round-off divided by the distance from the bifurcation. With a smaller
 /// tolerance, dense output would contradict such a start.
 const LEAST_TOLERANCE: f64 = 1e-10;
+
+/// Longest way of a step relative to its distance from the posture with all links in line, or to the distance at which the motion turns.
+const LARGEST_WAY: f64 = 0.5;
+
+/// Longest step, s, of a machine that turns within `turn` of the posture with all links in line: no step jumps over the turn.
+#[cold]
+pub(super) fn longest_step(turn: f64, [q, v]: [&Angles; 2]) -> f64 {
+    let [left, elbow, _, right] = LINK_INDICES;
+    let rate = f64::max((v[elbow] - v[left]).abs(), (v[right] - v[left]).abs());
+    LARGEST_WAY * angle_to_bifurcation(q).max(turn) / rate
+}
 
 /// Whether a step of h seconds from these angles and rates begins or ends near a bifurcation.
 pub(super) fn is_near(model: &Model, [q, v]: [&Angles; 2], h: f64) -> bool {
@@ -60,7 +75,8 @@ pub(super) fn may_leave_branch<const BARE: bool>(system: &FiveBar<'_, BARE>, at:
 /// Whether a motion on a closure branch is within a distance, rad, of a bifurcation, or comes there within `h` seconds.
 #[inline(always)]
 fn is_within<const BARE: bool>(system: &FiveBar<'_, BARE>, distance: f64, at: [&Coordinates; 2], h: f64) -> bool {
-    system.model.mechanism.geometry.base_distance == 0.0 && is_on_branch_within(system.model, distance, at, h)
+    let Model { mechanism, turn_in_line, .. } = system.model;
+    (mechanism.geometry.base_distance == 0.0 || turn_in_line.is_some()) && is_on_branch_within(system.model, distance, at, h)
 }
 
 #[cold]
@@ -69,7 +85,9 @@ fn is_on_branch_within(model: &Model, distance: f64, [q, v]: [&Coordinates; 2], 
     let (q, v) = (angles_of(q), angles_of(v));
     let [left, elbow, _, right] = LINK_INDICES;
     let turn = h * f64::max((v[elbow] - v[left]).abs(), (v[right] - v[left]).abs());
-    angle_to_bifurcation(&q) <= distance.max(turn) && ClosureBranch::of(&model.mechanism.geometry, by_leg, rates).is_some()
+    angle_to_bifurcation(&q) <= distance.max(turn)
+        && (model.turn_in_line.is_some_and(|turn| turn <= NEAR_BIFURCATION)
+            || ClosureBranch::of(&model.mechanism.geometry, by_leg, rates).is_some())
 }
 
 /// Step of h seconds along a closure branch, integrated in the link angles; `None` if the motion is on no branch or the step fails.
@@ -80,7 +98,11 @@ pub(super) fn crossing(system: FiveBar<'_>, from: &Core, h: f64) -> Option<Trans
     // slip ends, so the joint never sticks and events have no end.
     let with_sticking =
         if model.features.may_stick && tolerance < LEAST_TOLERANCE { crossing_within(system, from, h, tolerance) } else { None };
-    with_sticking.or_else(|| crossing_within(system, from, h, tolerance.max(LEAST_TOLERANCE)))
+    let largest = model.turn_in_line.map_or(0.0, |turn| TOLERANCE_OF_TURN * turn);
+    let least = tolerance.max(LEAST_TOLERANCE);
+    // Round-off may exceed the tolerance where a motion turns.
+    let tolerances = std::iter::successors(Some(least), |last| Some(10.0 * last).filter(|next| *next <= largest));
+    with_sticking.or_else(|| tolerances.into_iter().find_map(|tolerance| crossing_within(system, from, h, tolerance)))
 }
 
 /// Step of [`crossing`] with an error tolerance, rad.
@@ -96,7 +118,9 @@ fn crossing_within(system: FiveBar<'_>, from: &Core, h: f64, error_tolerance: f6
         regularization: model.regularization_by_angles,
     };
     let mut step = DenseStep::start(&system, angles_of(&from.q), angles_of(&from.v), &settings);
-    step.mode().closure_branch?;
+    if model.turn_in_line.is_none() {
+        step.mode().closure_branch?;
+    }
     step.advance(&system, &settings, h, Horizon { output: f64::INFINITY, limit: h }, None).ok()?;
     let sample = step.sample(&system, &settings);
     let on_branch = system.on(step.mode());

@@ -10,7 +10,7 @@ use crate::estimator;
 use crate::hybrid::Kinks;
 use crate::integrator::Features;
 use crate::linear::{LinearSolve, LinearSolver};
-use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
+use crate::mechanism::{ClosureBranch, Coordinates, Geometry, Mechanism, SceneError, Start, TOLERANCE_OF_TURN};
 
 /// Parameters that define a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -62,6 +62,8 @@ pub struct Model {
     pub regularization: f64,
     /// e of the saddle-point systems in the link angles, 1/kg.
     pub(super) regularization_by_angles: f64,
+    /// Distance, rad, within which a motion turns beside the posture with all links in line, if the machine nearly has branches.
+    pub(super) turn_in_line: Option<f64>,
     /// Settings of the solver.
     pub settings: Settings,
 }
@@ -91,6 +93,11 @@ impl Model {
         let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
         let regularization_by_angles =
             if geometry.turns_in_line() { IN_LINE_REGULARIZATION } else { ANGLE_REGULARIZATION } / geometry.mean_mass();
+        let turn_in_line = ClosureBranch::turn_in_line(&geometry);
+        let mut settings = settings.clone();
+        if let Some(turn) = turn_in_line {
+            settings.error_tolerance = settings.error_tolerance.min(TOLERANCE_OF_TURN * turn);
+        }
         let (inertia, weight) = (Inertia::new(&mechanism), parameters.effects.weight(&mechanism));
         let mut model = Self {
             typical_inertia: TypicalInertia::new(&geometry),
@@ -109,7 +116,8 @@ impl Model {
             effects,
             regularization,
             regularization_by_angles,
-            settings: settings.clone(),
+            turn_in_line,
+            settings,
         };
         model.note_properties();
         Ok(model)
@@ -118,6 +126,7 @@ impl Model {
     /// Changes the geometry, including added masses, only in the equations of motion in the link angles.
     pub(super) fn lengthen(&mut self, geometry: &Geometry) {
         self.mechanism = Mechanism::new(geometry);
+        self.turn_in_line = ClosureBranch::turn_in_line(geometry);
         (self.inertia, self.weight_torques) = (Inertia::new(&self.mechanism), Weight::new(&self.mechanism, &self.weight));
     }
 

@@ -68,11 +68,18 @@ struct Ray {
 
 impl Passage<ANGLES> for AngleSystem<'_> {
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>) -> Approach<ANGLES> {
+        let turn = self.model().turn_in_line;
         match self.offset(from.q) {
             // A machine that friction keeps at rest passes nothing.
             Some(_) if self.stuck() == Stuck::Wholly => Approach::Clear,
-            Some(offset) => self.approach_vertex(limits, from, offset),
-            None => Approach::Clear,
+            // A motion that turns within the ball would not follow the tangent cone.
+            Some(offset) if turn.is_none_or(|turn| turn > limits.radius) => self.approach_vertex(limits, from, offset),
+            _ => match turn {
+                Some(turn) => {
+                    Approach::Limited(StepLimits { longest: bifurcation::longest_step(turn, [from.q, from.v]), ..StepLimits::NONE })
+                }
+                None => Approach::Clear,
+            },
         }
     }
 
