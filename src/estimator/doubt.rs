@@ -92,6 +92,13 @@ impl Doubt {
         }
     }
 
+    /// Restarts the comparison.
+    pub(super) fn restart(&mut self, machine: &Machine) {
+        if let Some(branches) = self.branches() {
+            branches.restart(machine);
+        }
+    }
+
     /// Receives a sample of encoder i about the estimate, before the update of the estimate.
     pub(super) fn receive(&mut self, i: usize, sample: &Innovation) {
         if let Some(branches) = self.branches() {
@@ -182,6 +189,11 @@ impl Branches {
         self.judge(machine)
     }
 
+    /// Restarts both witnesses, without evidence.
+    fn restart(&mut self, machine: &Machine) {
+        (self.witnesses, self.evidence) = (witnesses(machine), 0.0);
+    }
+
     /// Updates the evidence and returns the verdict.
     fn judge(&mut self, machine: &Machine) -> Verdict {
         let sizes = prior_sizes(machine);
@@ -195,8 +207,8 @@ impl Branches {
         let [most, enough] = NEITHER_FITS;
         let evidence = 0.5 * ((other.0 - own.0) / scatter.max(1.0) + other.1 - own.1);
         if !evidence.is_finite() || scatter > most && samples > enough {
-            // Neither assembly explains the samples: both witnesses restart.
-            (self.witnesses, self.evidence) = (witnesses(machine), 0.0);
+            // Neither assembly explains the samples.
+            self.restart(machine);
             return Verdict::Open;
         }
         self.evidence = evidence;

@@ -5,7 +5,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::belief::{Bank, Innovation, Prediction};
 use super::error_state::{Error, RATE};
-use super::history::History;
+use super::history::{Expected, History};
 use super::machine::{Machine, Parameters};
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
 use super::trust::{Event, Trust};
@@ -86,6 +86,8 @@ pub(super) struct Measurement {
     pub(super) quantum: f64,
     /// Standard deviation of the persistent error, rad.
     pub(super) persistent: f64,
+    /// Whether loads have damped errors so much since the sample that it tells little of the motion before.
+    pub(super) is_damped: bool,
     /// Variance of the noise due to model errors that one encoder alone does not reveal, rad².
     pub(super) unrevealed: f64,
     /// Half-width of the interval about the angle that carries no information, rad.
@@ -234,12 +236,24 @@ impl Encoder {
         let before = self.mean_rate_before(&before);
         let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
         let noise = self.noise(sigma, quantum, rate);
-        let Some((expected, row)) = history.at(motion, frame, i, age) else {
+        let Some(Expected { angle: expected, row, is_damped }) = history.at(motion, frame, i, age) else {
             self.fault = Fault::Late;
             return None;
         };
         let innovation = Innovation { residual: wrapped(angle - expected), row, noise }.with_persistent_error(i, persistent);
-        Some(Measurement { angle, before, age, rate, sigma, quantum, persistent, unrevealed: 0.0, dead_zone: 0.0, innovation })
+        Some(Measurement {
+            angle,
+            before,
+            age,
+            rate,
+            sigma,
+            quantum,
+            persistent,
+            is_damped,
+            unrevealed: 0.0,
+            dead_zone: 0.0,
+            innovation,
+        })
     }
 
     /// Mean rate between the two samples before the last one, rad/s, from the encoder's state `before` the last sample; `None` if there are
@@ -596,6 +610,7 @@ mod tests {
                 sigma: 0.0,
                 quantum,
                 persistent: 0.0,
+                is_damped: false,
                 unrevealed: 0.0,
                 dead_zone: 0.0,
                 innovation,
@@ -639,6 +654,7 @@ mod tests {
                     sigma: 0.0,
                     quantum,
                     persistent: 0.0,
+                    is_damped: false,
                     unrevealed: 0.0,
                     dead_zone: 0.0,
                     innovation,

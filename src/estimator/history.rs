@@ -2,15 +2,18 @@
 //!
 //! A sample of time t − d measures the error e(t − d) = Φ⁻¹ e(t), so its row is H Φ⁻¹; the process noise in between is neglected. Each time
 //! update propagates the rows; each measurement update corrects the angles.
+//!
+//! Where loads damp the motion strongly, errors decay within d, and the present error is noise that came in between: Φ⁻¹ would multiply it
+//! without bound. Rows that grow beyond those of a free motion are propagated at constant rates instead.
 
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, SVector};
 
-use super::error_state::{Error, MOVING, Transition, turn_errors};
+use super::error_state::{Error, FORCE, MOVING, RATE, Transition, turn_errors};
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
-use super::tuning::{LARGEST_INVERSE, LEAST_TURN};
+use super::tuning::{LARGEST_INVERSE, LARGEST_ROW, LEAST_TURN};
 use crate::copies::clone_by_fields;
 
 /// Number of entries of the history. Entries are so far apart that they reach back to the largest age, however short the steps are.
@@ -26,6 +29,8 @@ struct Axis {
     /// Derivative of the angle with respect to the present error.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     row: Error,
+    /// Whether the row was propagated at constant rates, because loads have damped the errors since then.
+    is_damped: bool,
 }
 
 /// Both axes at a past instant.
@@ -38,9 +43,24 @@ struct Past {
 
 impl Past {
     fn present(motion: &LinkState, frame: &Frame) -> Self {
-        let axis = |i: usize| Axis { angle: motion.theta[MEASURED[i]], rate: motion.omega[MEASURED[i]], row: frame.row(i) };
+        let axis = |i: usize| Axis {
+            angle: motion.theta[MEASURED[i]],
+            rate: motion.omega[MEASURED[i]],
+            row: frame.row(i),
+            is_damped: false,
+        };
         Self { age: 0.0, axes: [axis(0), axis(1)] }
     }
+}
+
+/// What the history tells of a sample.
+pub(super) struct Expected {
+    /// Angle, rad.
+    pub(super) angle: f64,
+    /// Derivative of the angle with respect to the present error.
+    pub(super) row: Error,
+    /// Whether loads have damped errors so much since then that the derivative is only approximate.
+    pub(super) is_damped: bool,
 }
 
 /// Past instants, at beginnings of steps; the latest is last.
@@ -57,9 +77,8 @@ impl History {
         if max_age == 0.0 {
             return;
         }
-        let Some(back) = transition.try_inverse().filter(|back| back.iter().all(|x| x.abs() < LARGEST_INVERSE)) else {
-            return self.clear();
-        };
+        let Some(turn_back) = transition.fixed_view::<2, 2>(FORCE, FORCE).into_owned().try_inverse() else { return self.clear() };
+        let back = transition.try_inverse().filter(|back| back.iter().all(|x| x.abs() < LARGEST_INVERSE));
         // One older entry is kept for interpolation.
         while self.past.len() > 1 && self.past[1].age + h > max_age || self.past.is_full() {
             self.past.remove(0);
@@ -70,8 +89,20 @@ impl History {
         for past in &mut self.past {
             past.age += h;
             for axis in &mut past.axes {
-                let row = back.tr_mul(&axis.row.fixed_rows::<MOVING>(0));
-                axis.row.fixed_rows_mut::<MOVING>(0).copy_from(&row);
+                let row = axis.row.fixed_rows::<MOVING>(0).into_owned();
+                let fits = |moved: &SVector<f64, MOVING>| {
+                    let largest = |first| moved.fixed_rows::<2>(first).norm();
+                    largest(0) <= LARGEST_ROW && largest(RATE) <= LARGEST_ROW * past.age
+                };
+                if let Some(moved) = back.map(|back| back.tr_mul(&row)).filter(fits) {
+                    axis.row.fixed_rows_mut::<MOVING>(0).copy_from(&moved);
+                } else {
+                    // At constant rates the past angle is the present one minus the rate times the age.
+                    let by_angles = row.fixed_rows::<2>(0) * h;
+                    axis.row.fixed_rows_mut::<2>(RATE).zip_apply(&by_angles, |by_rate, by_angle| *by_rate -= by_angle);
+                    turn_errors(&turn_back.transpose(), &mut axis.row);
+                    axis.is_damped = true;
+                }
             }
         }
     }
@@ -94,13 +125,13 @@ impl History {
         self.past.clear();
     }
 
-    /// Angle of an encoder `age` seconds ago, rad, and its derivative with respect to the present error; `None` if the sample is older than
-    /// the run or the last change of hypothesis.
-    pub(super) fn at(&self, motion: &LinkState, frame: &Frame, encoder: usize, age: f64) -> Option<(f64, Error)> {
-        if age == 0.0 {
-            return Some((motion.theta[MEASURED[encoder]], frame.row(encoder)));
-        }
+    /// Angle of an encoder `age` seconds ago; `None` if the sample is older than the run or the last change of hypothesis.
+    pub(super) fn at(&self, motion: &LinkState, frame: &Frame, encoder: usize, age: f64) -> Option<Expected> {
         let present = Past::present(motion, frame);
+        if age == 0.0 {
+            let Axis { angle, row, is_damped, .. } = present.axes[encoder];
+            return Some(Expected { angle, row, is_damped });
+        }
         let before = self.past.iter().rposition(|past| past.age >= age)?;
         let (past, next) = (&self.past[before], self.past.get(before + 1).unwrap_or(&present));
         let length = past.age - next.age;
@@ -110,7 +141,11 @@ impl History {
         let whole = wrapped(end.angle - begin.angle);
         let (other, curve) = (1.0 - part, part * (1.0 - part));
         let bent = curve * (other * (length * begin.rate - whole) - part * (length * end.rate - whole));
-        Some((begin.angle + part * whole + bent, begin.row * other + end.row * part))
+        Some(Expected {
+            angle: begin.angle + part * whole + bent,
+            row: begin.row * other + end.row * part,
+            is_damped: begin.is_damped || end.is_damped,
+        })
     }
 
     /// Whether stored entries are possible: finite, in order of time.

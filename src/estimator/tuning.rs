@@ -240,6 +240,9 @@ pub(super) const INTERVAL_FLOORS: [f64; 2] = [1e-300, 1e-3];
 
 /// Smallest |det| of a map between tangent bases by which rows of the history can be transformed.
 pub(super) const LEAST_TURN: f64 = 1e-6;
+/// Largest derivative of a past angle with respect to the present angles, and with respect to the present rates in units of the age: twice
+/// that of a free motion.
+pub(super) const LARGEST_ROW: f64 = 2.0;
 /// Largest element of the inverse of a transition by which rows of the history can be propagated.
 pub(super) const LARGEST_INVERSE: f64 = 1e12;
 

@@ -31,7 +31,7 @@ use crate::variables::{Parameter, Value, Variable, VariableId};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Version of the layout; changes with every change of the stored data.
-const FORMAT: u32 = 33;
+const FORMAT: u32 = 34;
 
 /// Bytes before the content.
 #[derive(BorshSerialize, BorshDeserialize)]

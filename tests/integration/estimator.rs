@@ -995,6 +995,51 @@ fn delay_is_accounted_for() {
     assert!(ignored > 5.0 * accounted, "{accounted} {ignored}");
 }
 
+/// Late samples of a machine whose loads damp errors within the delay: steep smooth friction, or servos with a large kd. All samples are
+/// used, variances stay positive, the start stays in its assembly, and errors fit their covariance.
+#[test]
+fn late_samples_of_damped_machines_are_used() {
+    for (load, exact) in [("friction", true), ("friction", false), ("servo", true), ("servo", false)] {
+        for size in [1.0, 5.0] {
+            for delay in [4, 10, 19] {
+                let mut parameters = followed_by(Method::Dop853, exact);
+                let effects = &mut parameters.effects;
+                *effects.switch(load).expect("an effect") = true;
+                (effects.friction.coulomb, effects.friction.breakaway) = ([2e-3 * size; 5], [2.4e-3 * size; 5]);
+                (effects.servo.kp, effects.servo.kd) = ([2.0 * size; 2], [0.4 * size; 2]);
+                (parameters.estimator.sigma, parameters.estimator.max_delay) = ([1e-4; 2], 20e-3);
+                let inputs = Inputs { servo_theta: [1.9, 1.2], ..default_inputs() };
+                let mut machine = Machine::new(&parameters, 11, [0.0, 0.0]);
+                let mut following = Following::new(&parameters, &inputs).expect("a scene");
+                let mut line = std::collections::VecDeque::new();
+                let name = format!("{load}, exact: {exact}, {size}, {delay} ms");
+                let mut sum = 0.0;
+                for step in 0..400 {
+                    let time = f64::from(step) * 1e-3;
+                    line.push_back(machine.sample(time));
+                    if step >= delay {
+                        following.correct(&line.pop_front().expect("a sample"), time);
+                        let status = following.status();
+                        assert!(matches!(status, Status::Following | Status::TwoBranches), "{name}, {step}: {status:?}");
+                        let [angles, rates] = following.sigmas();
+                        assert!(angles.iter().chain(&rates).all(|sigma| *sigma > 0.0 && sigma.is_finite()), "{name}, {step}");
+                        let [xx, xy, yy] = following.tip_covariance();
+                        assert!(xx > 0.0 && xx * yy >= xy * xy * (1.0 - 1e-9), "{name}, {step}: {xx} {xy} {yy}");
+                        if step >= 100 {
+                            sum += nees(&following, &machine);
+                        }
+                    }
+                    following.advance_along(&Signal::held(inputs), 1e-3, 1).expect("a step");
+                    machine.truth.advance(&inputs, 1e-3, 1).expect("a step");
+                }
+                // 4 on average; steep friction adds errors since the sample, which are neglected. The other assembly gives 1e5.
+                let most = if (load, exact, size) == ("friction", false, 5.0) { 40.0 } else { 5.0 };
+                assert!(sum / 300.0 < most, "{name}: {}", sum / 300.0);
+            }
+        }
+    }
+}
+
 /// A machine without loads that turns as one body about its coaxial motors; counts evaluations.
 #[derive(Clone, Copy)]
 struct Turning<'a> {
