@@ -86,8 +86,8 @@ pub(super) struct Measurement {
     pub(super) quantum: f64,
     /// Standard deviation of the persistent error, rad.
     pub(super) persistent: f64,
-    /// Whether loads have damped errors so much since the sample that it tells little of the motion before.
-    pub(super) is_damped: bool,
+    /// Whether the derivative of a late sample is only approximate (`history.rs`).
+    pub(super) is_approximate: bool,
     /// Variance of the noise due to model errors that one encoder alone does not reveal, rad².
     pub(super) unrevealed: f64,
     /// Half-width of the interval about the angle that carries no information, rad.
@@ -236,7 +236,7 @@ impl Encoder {
         let before = self.mean_rate_before(&before);
         let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
         let noise = self.noise(sigma, quantum, rate);
-        let Some(Expected { angle: expected, row, is_damped }) = history.at(motion, frame, i, age) else {
+        let Some(Expected { angle: expected, row, is_approximate }) = history.at(motion, frame, i, age) else {
             self.fault = Fault::Late;
             return None;
         };
@@ -249,7 +249,7 @@ impl Encoder {
             sigma,
             quantum,
             persistent,
-            is_damped,
+            is_approximate,
             unrevealed: 0.0,
             dead_zone: 0.0,
             innovation,
@@ -610,7 +610,7 @@ mod tests {
                 sigma: 0.0,
                 quantum,
                 persistent: 0.0,
-                is_damped: false,
+                is_approximate: false,
                 unrevealed: 0.0,
                 dead_zone: 0.0,
                 innovation,
@@ -654,7 +654,7 @@ mod tests {
                     sigma: 0.0,
                     quantum,
                     persistent: 0.0,
-                    is_damped: false,
+                    is_approximate: false,
                     unrevealed: 0.0,
                     dead_zone: 0.0,
                     innovation,

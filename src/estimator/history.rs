@@ -29,8 +29,8 @@ struct Axis {
     /// Derivative of the angle with respect to the present error.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     row: Error,
-    /// Whether the row was propagated at constant rates, because loads have damped the errors since then.
-    is_damped: bool,
+    /// Whether the row was propagated at constant rates, because the exact one grew too large.
+    is_approximate: bool,
 }
 
 /// Both axes at a past instant.
@@ -47,20 +47,20 @@ impl Past {
             angle: motion.theta[MEASURED[i]],
             rate: motion.omega[MEASURED[i]],
             row: frame.row(i),
-            is_damped: false,
+            is_approximate: false,
         };
         Self { age: 0.0, axes: [axis(0), axis(1)] }
     }
 }
 
-/// What the history tells of a sample.
+/// Expected angle of a delayed sample.
 pub(super) struct Expected {
     /// Angle, rad.
     pub(super) angle: f64,
     /// Derivative of the angle with respect to the present error.
     pub(super) row: Error,
-    /// Whether loads have damped errors so much since then that the derivative is only approximate.
-    pub(super) is_damped: bool,
+    /// Whether the derivative is that of a motion at constant rates, because the exact one is too large.
+    pub(super) is_approximate: bool,
 }
 
 /// Past instants, at beginnings of steps; the latest is last.
@@ -101,7 +101,7 @@ impl History {
                     let by_angles = row.fixed_rows::<2>(0) * h;
                     axis.row.fixed_rows_mut::<2>(RATE).zip_apply(&by_angles, |by_rate, by_angle| *by_rate -= by_angle);
                     turn_errors(&turn_back.transpose(), &mut axis.row);
-                    axis.is_damped = true;
+                    axis.is_approximate = true;
                 }
             }
         }
@@ -129,8 +129,8 @@ impl History {
     pub(super) fn at(&self, motion: &LinkState, frame: &Frame, encoder: usize, age: f64) -> Option<Expected> {
         let present = Past::present(motion, frame);
         if age == 0.0 {
-            let Axis { angle, row, is_damped, .. } = present.axes[encoder];
-            return Some(Expected { angle, row, is_damped });
+            let Axis { angle, row, is_approximate, .. } = present.axes[encoder];
+            return Some(Expected { angle, row, is_approximate });
         }
         let before = self.past.iter().rposition(|past| past.age >= age)?;
         let (past, next) = (&self.past[before], self.past.get(before + 1).unwrap_or(&present));
@@ -144,7 +144,7 @@ impl History {
         Some(Expected {
             angle: begin.angle + part * whole + bent,
             row: begin.row * other + end.row * part,
-            is_damped: begin.is_damped || end.is_damped,
+            is_approximate: begin.is_approximate || end.is_approximate,
         })
     }
 

@@ -292,8 +292,8 @@ impl Estimator {
         if let Some(other) = self.hypotheses.correct(&machine.linkage, &used, likelihood) {
             self.take_over(other, machine, estimate);
         }
-        // Damped samples tell nothing about the assembly: of the other motion, which has no history, they tell something else.
-        if residuals.iter().filter_map(Residual::accepted).any(|accepted| accepted.measurement.is_damped) {
+        // The other motion has no history, so the comparison by such samples begins again.
+        if residuals.iter().filter_map(Residual::accepted).any(|accepted| accepted.measurement.is_approximate) {
             self.doubt.restart(machine);
         }
         let seen = [0, 1].map(|i| self.seen(i, &residuals[i].accepted()?.measurement));

@@ -11,7 +11,6 @@ use super::model::Model;
 use super::state::Core;
 use crate::integrator::dense::{DenseStep, Horizon, Schemes, Settings};
 use crate::integrator::{EnergyBalance, Events, Passage, Posed, Transit, equilibrium};
-
 use crate::mechanism::coordinates::angles_by_leg;
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, TOLERANCE_OF_TURN};
 
