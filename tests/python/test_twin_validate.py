@@ -556,6 +556,17 @@ def test_an_alarm_from_the_start_on_is_printed() -> None:
     )
 
 
+def test_small_numbers_are_short() -> None:
+    """Errors of an exact record are round-off; its table has a space between any two cells."""
+    numbers = [3.45e-11, 1.02e-15, -9e-10, 1.5e-6, 0.000123456, 1234.5, -0.00123456, math.nan]
+    assert [plain(number) for number in numbers] == ["0", "0", "0", "0.000002", "0.000123", "1230", "-0.00123", "nan"]
+    errors = {"median_mrad": [1.2345e-4, 123456789.0], "rms_mrad": [3.45e-8, 1234567890.0]}
+    content = {"samples": 1, "seconds": 1.0, "series": 1, "command_delay_s": None, "known_commands": False}
+    content |= {"innovations": errors | {"coverage95": 1.0, "relative_width95": 1.0}, "forecasts": {}, "not_judged": []}
+    cells = held_out.lines(content)[-1].split()
+    assert cells == ["innovations", "0.000123", "0", "123000000", "1230000000", "100", "1"]
+
+
 def test_shares_are_plain_numbers() -> None:
     def needed(alarms: float) -> torque_scale.Needed:
         return torque_scale.Needed(0.01, 0.1, alarms, 0.95)

@@ -390,7 +390,7 @@ def lines(content: dict[str, Any]) -> list[str]:
     def row(name: str, given: dict[str, Any]) -> str:
         errors = [number(value) for pair in zip(given["median_mrad"], given["rms_mrad"], strict=True) for value in pair]
         counted = [number(given["coverage95"], 100), number(given["relative_width95"])] if "coverage95" in given else []
-        return f"  {name:26}" + "".join(f"{text:>9}" for text in (*errors, *counted))
+        return f"  {name:26}" + "".join(f" {text:>8}" for text in (*errors, *counted))
 
     delay = content["command_delay_s"]
     found = [
