@@ -518,6 +518,9 @@ def test_the_size_is_measured_while_the_twin_follows() -> None:
     assert torque_scale.measure(followed(torque, status, alarm), 1.0, 0.95).alarms == pytest.approx(0.1, abs=1e-3)
     few = torque_scale.measure(followed(torque[:250], status[:250], alarm[:250]), 1e-3, 0.5)
     assert few.size is None and not few.fits and few.to_try() is None
+    # Nothing is known about alarms of a record that ends within 2 s.
+    short = torque_scale.measure(followed(torque[:150], status[:150], alarm[:150]), 1.0, 0.95)
+    assert math.isnan(short.alarms) and short.fits and short.content()["alarm_share"] is None
 
 
 def test_a_scale_is_proposed_if_it_is_needed_and_helps() -> None:
@@ -554,6 +557,9 @@ def test_an_alarm_from_the_start_on_is_printed() -> None:
         validate._alarms(content)
         == "alarms: 2, of force, fault; on 1.23 % of the time (without the first 2 s of each series)"
     )
+    content |= {"alarms": 0, "causes": [], "unknown_torque": {"alarm_share": None, "size99_nm": None}}
+    assert validate._alarms(content) == "alarms: 0; not judged: no series is longer than 2 s"
+    assert "<b>–<small> %</small></b><span>of the time with an alarm" in validate._cards(content | {"held_out": part})
 
 
 def test_small_numbers_are_short() -> None:

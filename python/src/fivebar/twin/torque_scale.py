@@ -52,15 +52,15 @@ class Needed:
     """The larger of both unknown torques while the twin follows, N·m: `SHARE` of the estimates have at most this size. None if there are too few."""
 
     alarms: float
-    """Share of all estimates with an alarm, whatever their status."""
+    """Share of all estimates with an alarm, whatever their status; NaN if no series is longer than 2 s."""
 
     inside: float
     """Share of the innovations in the held-out part inside their 95 % bands; NaN if there are none."""
 
     @property
     def fits(self) -> bool:
-        """Whether alarms are rare and the promise about innovations is kept."""
-        return self.alarms <= QUIET and not self.inside < COVERED
+        """Whether alarms are rare, or not judged, and the promise about innovations is kept."""
+        return not self.alarms > QUIET and not self.inside < COVERED
 
     def to_try(self) -> float | None:
         """A scale that may fit better, N·m; None if the present one fits or is large enough."""
@@ -140,7 +140,7 @@ def measure(story: Story, scale: float, inside: float) -> Needed:
     return Needed(
         scale,
         float(np.quantile(known, SHARE)) if len(known) >= FEWEST else None,
-        float(np.mean(alarms != 0)) if len(alarms) else 0.0,
+        float(np.mean(alarms != 0)) if len(alarms) else math.nan,
         inside,
     )
 

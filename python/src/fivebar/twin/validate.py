@@ -220,12 +220,15 @@ def _tell(content: dict[str, Any], files: list[Path]) -> None:
 def _alarms(content: dict[str, Any]) -> str:
     """Number, causes and duration of the alarms; an alarm that is on from the start has no count."""
     of = f", of {', '.join(content['causes'])}" if content["causes"] else ""
-    return f"alarms: {content['alarms']}{of}; on {plain(_on(content))} % of the time (without the first {STARTING:g} s of each series)"
+    share = _on(content)
+    if share is None:
+        return f"alarms: {content['alarms']}{of}; not judged: no series is longer than {STARTING:g} s"
+    return f"alarms: {content['alarms']}{of}; on {plain(share)} % of the time (without the first {STARTING:g} s of each series)"
 
 
-def _on(content: dict[str, Any]) -> float:
-    """Share of the time with an alarm, %."""
-    return 100 * float(content["unknown_torque"]["alarm_share"])
+def _on(content: dict[str, Any]) -> float | None:
+    """Share of the time with an alarm, %; None if no series is long enough."""
+    return _percent(content["unknown_torque"]["alarm_share"])
 
 
 def _cards(content: dict[str, Any]) -> str:
