@@ -281,6 +281,15 @@ def test_steps_and_noise_are_measured(step: float, noise: float) -> None:
         assert figures.noise == pytest.approx(noise, rel=0.15) if noise else figures.noise < 0.3 * step
 
 
+def test_coarse_times_are_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The warning has the sentence, and the printed notes do not repeat it."""
+    file = write_csv(tmp_path / "a.csv", "time,theta[1],theta[2]", np.floor(40 * GRID + 1e-9) / 40, LEFT, RIGHT)
+    imported(tmp_path, file)
+    text = capsys.readouterr()
+    assert text.err.count("samples are left out, because they repeat the time") == 1
+    assert "repeat the time" not in text.out
+
+
 def test_rate_jitter_and_lost_samples_are_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chance = np.random.default_rng(3)
     kept = np.ones(400, dtype=bool)

@@ -102,7 +102,12 @@ def test_a_coarse_clock_is_named(tmp_path: Path) -> None:
     file = table(tmp_path, np.floor(0.1 * np.arange(1000) + 1e-9) / 100)
     with pytest.warns(MachineWarning, match="a.csv: 900 of 1000 samples are left out, because they repeat the time"):
         found = data.read(file, 0.0, 10.0)
-    assert [len(series) for series in found.series] == [100] and len(found.notes) == 1
+    assert [len(series) for series in found.series] == [100] and found.notes == [found.coarse]
+    # A player warns, too; it needs a record of more than 1 s.
+    file = table(tmp_path, np.floor(0.1 * np.arange(1200) + 1e-9) / 100)
+    with pytest.warns(MachineWarning, match="a.csv: 1080 of 1200 samples are left out") as warned:
+        player(file).check()
+    assert len(warned) == 1
     few = recording.read(table(tmp_path, np.concatenate([GRID, [GRID[-1]]])))
     assert few.coarse == "" and few.notes == ["1 rows without a time of their own left out"]
 

@@ -160,11 +160,13 @@ class Player:
     def check(self, values: Mapping[str, Value] | None = None) -> None:
         """Raises `TwinError` for a recording that no twin can follow, by the checks of a calibration.
 
-        With `values`, all start values of the scene, it warns of servos without recorded commands.
+        It warns of coarse times and, with `values`, all start values of the scene, of servos without recorded commands.
         """
         # Imported here because the machine process does not need the packages of a calibration.
         from fivebar.twin.calibrate import data
 
+        if self.recording.coarse:
+            warn(f"{self.recording.source}: {self.recording.coarse}")
         samples = data.split(self.recording)
         data.check(samples)
         if values is not None and (doubt := data.unled(samples, values)):

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from fivebar.colours import LEFT, RIGHT
 from fivebar.drawing import ABOVE, FAINT, INK, RUN_COLOURS, STYLE, WRONG, panels, save
-from fivebar.errors import FiveBarError, warn
+from fivebar.errors import FiveBarError
 from fivebar.library import Library
 from fivebar.plain import plain
 from fivebar.twin import figures, held_out, scene, setup, starter, summary, torque_scale
@@ -91,8 +91,6 @@ def follow(config: Config, known_commands: bool = False) -> tuple[dict[str, Any]
     library = Library(Path(config.fmu))
     try:
         ahead, watch, source = Ahead(config, library, at_once=True), Watch(config), Player(config)
-        if source.recording.coarse:
-            warn(f"{config.machine.csv}: {source.recording.coarse}")
         commanded = [name for name in INPUTS if name in source.recording.columns]
         if known_commands:
             if not commanded:

@@ -287,7 +287,7 @@ class Calibration:
         lines.append(
             f"{count} samples in {len(given.series)} series, every {every} ms; begun from {self.problem.assumed.source}"
         )
-        lines += [f"  {note}" for note in given.notes]
+        lines += [f"  {note}" for note in given.notes if note != given.coarse]
         lines.append(residuals(fit, judgement.together.time_scale, bool(self.solution.wrong), bool(self.warning)))
         lines += [f"  {stage.sentence()}" for stage in fit.stages]
         lines += ["", f"  {'':28} {'scene':>12} {'found':>14} {'± 95 %':>11} {'bound 95 %':>11}"]

@@ -93,6 +93,9 @@ class Data:
     left_out: str = ""
     """A sentence if more than `MANY_LEFT_OUT` of the samples are left out, else ""."""
 
+    coarse: str = ""
+    """The note about coarse times, of which `read` warns, else ""."""
+
     @property
     def period(self) -> float:
         """Median sampling period, s."""
@@ -208,7 +211,7 @@ def split(given: recording.Recording) -> Data:
         notes.append(
             f"{len(parts) - 1} gaps or jumps of the clock; {len(parts) - len(series)} series of less than {FEWEST} samples are left out"
         )
-    return Data(series, notes, given.source, left_out)
+    return Data(series, notes, given.source, left_out, given.coarse)
 
 
 def turned(given: Data, library: Library, scene: Mapping[str, Value]) -> Data:

@@ -41,7 +41,7 @@ def _summary(
     """Lines about the content of the record."""
     lines = [f"{len(found.time)} rows, {found.time[-1]:.4g} s, {len(found.begins) + 1} series of {found.source}"]
     lines += [f"  {name} from {entry.column}" for name, entry in used.entries.items()]
-    lines += [f"  {note}" for note in found.notes]
+    lines += [f"  {note}" for note in found.notes if note != found.coarse]
     lines += [each.sentence() for each in figures]
     for each in figures:
         long = [gap for gap in each.gaps if gap.steps > data.GAP]
