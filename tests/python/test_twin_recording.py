@@ -112,6 +112,15 @@ def test_a_coarse_clock_is_named(tmp_path: Path) -> None:
     assert few.coarse == "" and few.notes == ["1 rows without a time of their own left out"]
 
 
+def test_a_row_per_encoder_is_no_coarse_clock(tmp_path: Path) -> None:
+    """Rows of one time that complete each other have no other readings."""
+    file = tmp_path / "a.csv"
+    rows = [row for k, t in enumerate(GRID.tolist()) for row in (f"{t!r},{1e-3 * k!r},", f"{t!r},,{1 + 1e-3 * k!r}")]
+    file.write_text("\n".join(["time,measured.theta[1],measured.theta[2]", *rows]) + "\n", encoding="utf-8")
+    found = recording.read(file)
+    assert found.coarse == "" and found.notes == ["200 rows without a time of their own left out"]
+
+
 @pytest.mark.parametrize(
     ("time", "count"),
     [(np.full(200, 1.7953314e9), "1 different time;"), (1e9 + 10.0 * (GRID > 0.5), "2 different times;")],

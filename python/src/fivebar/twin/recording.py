@@ -276,13 +276,14 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
 
 
 def _repeated(clock: Array, columns: Mapping[str, Array], usable: Array) -> int:
-    """Number of rows with the time of the row above, but with other readings."""
+    """Number of rows with the time of the row above, but with another reading of an encoder that has a reading in both."""
     same = np.flatnonzero(np.diff(clock[usable]) == 0)
     above, below = usable[same], usable[same + 1]
     differ = np.zeros(len(same), dtype=bool)
     for name in MEASURED:
         if name in columns:
-            differ |= np.isfinite(columns[name][below]) & (columns[name][below] != columns[name][above])
+            first, second = columns[name][above], columns[name][below]
+            differ |= np.isfinite(first) & np.isfinite(second) & (first != second)
     return int(np.count_nonzero(differ))
 
 
