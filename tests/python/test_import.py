@@ -107,7 +107,9 @@ def test_a_table_without_a_head_has_numbers_for_names(tmp_path: Path) -> None:
     assert found.columns["measured.theta[1]"].tolist() == LEFT.tolist() and len(found.time) == 400
 
 
-@pytest.mark.parametrize("head", ["time [ms],theta[1] [deg],theta[2] [deg]", "time (ms),theta[1] (deg),theta[2] (deg)"])
+@pytest.mark.parametrize(
+    "head", ["time [ms],theta[1] [deg],theta[2] [deg]", "time (ms),theta[1] (degrees),theta[2] (°)"]
+)
 def test_a_head_of_names_and_units_needs_no_map(head: str, tmp_path: Path) -> None:
     file = write_csv(tmp_path / "a.csv", head, 1e3 * GRID, np.degrees(LEFT), np.degrees(RIGHT))
     found = imported(tmp_path, file)

@@ -8,6 +8,7 @@ import pytest
 
 from fivebar import table
 from fivebar.errors import FiveBarError
+from fivebar.twin.importing import maps
 
 WANTED = ("theta[1]", "tau[1]")
 
@@ -82,6 +83,15 @@ def test_units_in_parentheses_are_units_of_the_head_unless_the_name_is_wanted_wi
     assert found.units == {"time": "ms", "theta[1]": "deg"} and found.others == ["tau[1] (at rest)", "theta(2)"]
     found = table.read(tmp_path / "a.csv", ("theta[1] (deg)",), "time (ms)")
     assert set(found.columns) == {"time (ms)", "theta[1] (deg)"} and not found.units
+
+
+def test_spellings_of_units_are_those_of_the_maps(tmp_path: Path) -> None:
+    """Each unit that is recognised in parentheses is one of a map, except um, which is refused by name."""
+    known = {unit for units in maps.UNITS.values() for unit in units} | {maps.COUNTS, "um"}
+    assert known == table.WORDS and {*table.SPELLINGS.values()} <= known
+    spellings = {"seconds": "s", "rev": "turns", "rev/s": "turns/s", "°/s": "deg/s", "N·m": "N.m", "m N m": "mN.m"}
+    for unit, plain in spellings.items():
+        assert table.heads([f"a ({unit})"]) == [("a", unit)] and table.spelled(unit) == plain
 
 
 def test_dates_without_a_value_are_none_and_keep_nanoseconds(tmp_path: Path) -> None:

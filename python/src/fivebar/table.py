@@ -36,11 +36,25 @@ UNIT = re.compile(r"(.+?)(?:\s+|(?!\[\d+]))\[([^][]*)]")
 IN_PARENTHESES = re.compile(r"(.+?)\s*\(([^()]*)\)")
 """A name and its unit, if the unit is one of `WORDS`."""
 
-WORDS = frozenset(
-    "s sec seconds ms us µs μs ns m cm mm um µm μm Nm mNm rpm counts rad mrad deg degree degrees ° turn turns rev "
-    "rad/s mrad/s deg/s degree/s degrees/s °/s turn/s turns/s rev/s".split()
-)
-"""Units that are recognised in parentheses, without spaces and multiplication signs; other words there may belong to the name."""
+WORDS = frozenset("s ms us ns m cm mm um N.m mN.m rpm counts rad mrad deg turns rad/s mrad/s deg/s turns/s".split())
+"""Units that are recognised in parentheses, in the spelling of `spelled`; other words there may belong to the name."""
+
+SPELLINGS = {
+    "sec": "s",
+    "seconds": "s",
+    "µs": "us",
+    "μs": "us",
+    "µm": "um",
+    "μm": "um",
+    "Nm": "N.m",
+    "mNm": "mN.m",
+    "°": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "turn": "turns",
+    "rev": "turns",
+}
+"""Other spellings of units and of the numerators of rates, without spaces and multiplication signs."""
 
 DATE = re.compile(
     r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?)(?:(?<=:\d\d:\d\d)[.,](\d+))?\s*(Z|[+-]\d\d(?::?\d\d)?)?",
@@ -180,14 +194,15 @@ def heads(cells: Sequence[str], wanted: Collection[str] = ()) -> list[tuple[str,
     names = {name for name, _ in found}
     for place, (name, _) in enumerate(found):
         match = IN_PARENTHESES.fullmatch(name)
-        if (
-            match
-            and name not in wanted
-            and match[1] not in names
-            and "".join(c for c in match[2] if c not in " .·*") in WORDS
-        ):
+        if match and name not in wanted and match[1] not in names and spelled(match[2]) in WORDS:
             found[place] = match[1], match[2].strip()
     return found
+
+
+def spelled(unit: str) -> str:
+    """A unit from a table's head in the spelling of a map: `N.m` for `N·m`, `deg/s` for `°/s`."""
+    numerator, per, denominator = "".join(c for c in unit if c not in " .·*").partition("/")
+    return SPELLINGS.get(numerator, numerator) + per + denominator
 
 
 def _named(cell: str) -> tuple[str, str]:

@@ -140,7 +140,7 @@ def read(file: Path) -> Recording:
         columns[TIME], in_head[TIME] = 1e-9 * columns[TIME], "s"
     for name in columns:
         unit, given = _unit(name), in_head.get(name, "")
-        if given and _plain(given) != _plain(unit):
+        if given and table.spelled(given) != unit:
             raise TwinError(f"{file}: {name} is in {given:.20}, but {unit} is expected")
     if TIME not in columns:
         names = ", ".join([*columns, *found.others])[:200] or "nothing"
@@ -319,8 +319,3 @@ def _unit(name: str) -> str:
 def _letters(name: str) -> str:
     """Letters and digits of a column's name without a unit in parentheses: alike for `tau[1]` and `tau_1`."""
     return "".join(c for c in name.lower().partition(" (")[0] if c.isalnum())
-
-
-def _plain(unit: str) -> str:
-    """A unit without multiplication signs, which have many spellings."""
-    return "".join(c for c in unit if c not in " .·*")

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from fivebar import scene_file
+from fivebar import scene_file, table
 from fivebar.errors import FiveBarError
 from fivebar.twin.messages import MEAS_FIELDS, MEASURED
 from fivebar.twin.recording import TIME, TRUE
@@ -73,7 +73,7 @@ class Entry:
     def factor(self, name: str, head: str) -> float:
         """Factor for the numbers of the column; `head` is the unit in the table's head. Raises FiveBarError."""
         known = units_of(name)
-        unit, in_head = self.unit, _plain(head)
+        unit, in_head = self.unit, table.spelled(head)
         if self.scale != 1 and in_head not in known:
             # A scale converts from any unit, such as N.m per A.
             in_head = ""
@@ -211,10 +211,3 @@ def _number(key: str, given: Any) -> float:
     if not isinstance(given, (int, float)) or isinstance(given, bool):
         raise FiveBarError(f"'{key}' must be a number, not {shown(given)}")
     return float(given)
-
-
-def _plain(unit: str) -> str:
-    """Converts a unit from a table's head to the spelling of a map."""
-    plain = "".join(c for c in unit if c not in " ·*.")
-    spelled = {"Nm": "N.m", "mNm": "mN.m", "°": "deg", "degree": "deg", "degrees": "deg", "µs": "us", "μs": "us"}
-    return spelled.get(plain, plain)
