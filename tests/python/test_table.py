@@ -85,6 +85,11 @@ def test_units_in_parentheses_are_units_of_the_head_unless_the_name_is_wanted_wi
     assert set(found.columns) == {"time (ms)", "theta[1] (deg)"} and not found.units
 
 
+def test_names_that_differ_only_in_their_units_keep_them_if_they_are_not_read(tmp_path: Path) -> None:
+    found = read(tmp_path, "time (s),temp (deg),temp (rad)\n0,1,2\n")
+    assert found.units == {"time": "s"} and found.others == ["temp (deg)", "temp (rad)"]
+
+
 def test_spellings_of_units_are_those_of_the_maps(tmp_path: Path) -> None:
     """Each unit that is recognised in parentheses is one of a map, except um, which is refused by name."""
     known = {unit for units in maps.UNITS.values() for unit in units} | {maps.COUNTS, "um"}

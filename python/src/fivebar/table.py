@@ -188,14 +188,20 @@ def _first(line: str, separator: str) -> list[str]:
 def heads(cells: Sequence[str], wanted: Collection[str] = ()) -> list[tuple[str, str]]:
     """Names and units of the columns of a table, in order; "" if there is no unit.
 
-    A name that is in `wanted` with its unit in parentheses keeps it, and so does a name of which there is also a column without.
+    A name that is in `wanted` with its unit in parentheses keeps it. A name that would not be unique without its unit keeps it too,
+    unless the short name is in `wanted`: which column is meant is then open.
     """
     found = [_named(cell.strip()) for cell in cells]
+    short = {
+        place: (match[1], match[2].strip())
+        for place, (name, _) in enumerate(found)
+        if name not in wanted and (match := IN_PARENTHESES.fullmatch(name)) and spelled(match[2]) in WORDS
+    }
     names = {name for name, _ in found}
-    for place, (name, _) in enumerate(found):
-        match = IN_PARENTHESES.fullmatch(name)
-        if match and name not in wanted and match[1] not in names and spelled(match[2]) in WORDS:
-            found[place] = match[1], match[2].strip()
+    counts = Counter(name for name, _ in short.values())
+    for place, (name, unit) in short.items():
+        if name not in names and (counts[name] == 1 or name in wanted):
+            found[place] = name, unit
     return found
 
 
