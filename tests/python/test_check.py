@@ -295,6 +295,34 @@ def test_a_zero_from_commands_is_without_the_deflection_of_the_servos(capsys: py
         assert "the drive's deflection under load is part of it, since the scene has no gain" in sentence
 
 
+@pytest.mark.parametrize(
+    ("more", "shift", "words"),
+    [
+        ({"gravity.enabled": False}, 0.0, ""),
+        ({"servo.kp[1]": 0.05, "servo.kp[2]": 0.05}, 0.0, ", without the servo's mean deflection of "),
+        # The elbows are 0.28 m apart, the distal links together are 0.25 m long.
+        ({}, 0.9, ", and the drive's deflection under load is part of it, since the commands are out of reach"),
+    ],
+)
+def test_a_deflection_of_the_servos_is_named_if_it_is_not_zero(
+    more: dict[str, Any], shift: float, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Deflections beyond 100 mrad have no exponent, and commands out of reach are no lack of gains."""
+    write_scene(**{"servo.enabled": True, "servo.kp[1]": 1.5, "servo.kp[2]": 1.0} | more)
+    commands = MOTION + [shift, -shift]
+    deflections = np.zeros((len(GRID), 2))
+    if "mean" in words:
+        machine = scenes.read("machine.json")
+        deflections = holding_torques(machine, Kinematics.from_scene(machine).forward(MOTION).theta) / 0.05
+        assert np.all(np.abs(deflections.mean(axis=0)) > 0.1)
+    write_csv(GRID, rounded(commands - deflections), **{f"servo.theta[{i + 1}]": commands[:, i] for i in (0, 1)})
+    _, found, _ = checked(capsys)
+    for _, sentence in found["zeros"]:
+        _, _, said = sentence.partition(" rad relative to the map")
+        assert said.startswith(words) if words else not said, sentence
+        assert "e+" not in said and "no gain" not in said, sentence
+
+
 def test_a_record_of_the_twin_is_checked(capsys: pytest.CaptureFixture[str]) -> None:
     rows = [record.Row(where, at, k, payload) for k, (where, payload, at) in enumerate(samples(rounded(MOTION)))]
     Path("record").mkdir()

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import optimize
 
 from fivebar.kinematics import Machine, Sign
+from fivebar.plain import plain
 from fivebar.scene import Scene
 from fivebar.statics import holding_torques
 from fivebar.twin.importing.maps import PASSIVE
@@ -55,6 +56,9 @@ SURE: Final = 0.02
 
 LENGTHS: Final = "for length errors of estimator.sigma0.length"
 """Assumption behind zeros that a closed loop shows."""
+
+DEFLECTED: Final = 1e-6
+"""Smallest mean deflection of a servo that is named, rad; zeros are printed in steps of 1e-4 rad."""
 
 REGULAR: Final = 0.05
 """Minimum sine between the distal links: nearer to a direct singularity, torques grow without bound."""
@@ -124,7 +128,7 @@ class Evidence:
     """Maximum misfit of the best assignment; above it, the machine is another one or was moved by hand."""
 
     bases: tuple[str, str] = (LENGTHS, LENGTHS)
-    """For each motor angle, the assumption behind its zero."""
+    """For each motor angle, the assumption behind its zero, or ""."""
 
     @property
     def is_believed(self) -> bool:
@@ -383,13 +387,24 @@ class _Loop:
             off = _wrapped(apart - about)
             sigma = np.std(off, axis=0)
             fits.append(Fit(float(np.sqrt(np.mean((off / spread) ** 2))), about, sigma))
-        left, right = (
-            f"without the servo's mean deflection of {1e3 * mean + 0.0:.2g} mrad under load (servo.kp[{i}])"
-            if np.isfinite(mean)
-            else "and the drive's deflection under load is part of it, since the scene has no gain (servo.enabled, servo.kp)"
-            for i, mean in enumerate(deflections.mean(axis=0), 1)
-        )
+        left, right = (self._basis(i, float(mean)) for i, mean in enumerate(deflections.mean(axis=0), 1))
         return Evidence("commands", "of their variation", tuple(fits), 0.05, UNLIKE, (left, right))
+
+    def _basis(self, i: int, deflection: float) -> str:
+        """The assumption behind the zero of motor angle `i` from commands, with the servo's mean deflection, rad, or NaN; "" without deflection."""
+        if abs(deflection) < DEFLECTED:
+            return ""
+        if np.isfinite(deflection):
+            return (
+                f"without the servo's mean deflection of {plain(1e3 * deflection, 2)} mrad under load (servo.kp[{i}])"
+            )
+        has_gain = self.scene["servo.enabled"] and float(self.scene[f"servo.kp[{i}]"]) > 0
+        why = (
+            "the commands are out of reach or near direct singularities"
+            if has_gain
+            else "the scene has no gain (servo.enabled, servo.kp)"
+        )
+        return f"and the drive's deflection under load is part of it, since {why}"
 
     def deflections(self) -> Array:
         """Commands minus angles, rad, (n, 2), of the scene's servos at rest under weight, springs and recorded torques; NaN without servos or gains.

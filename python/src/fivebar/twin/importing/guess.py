@@ -68,7 +68,7 @@ def alike(verdict: Verdict) -> str:
 def zeros(verdict: Verdict) -> list[str]:
     """Sentences about the zeros."""
     return [
-        f"{name}: zero {zero:.4f} ± {sigma:.1g} rad relative to the map, {basis}"
+        f"{name}: zero {zero:.4f} ± {sigma:.1g} rad relative to the map{', ' * bool(basis)}{basis}"
         if np.isfinite(sigma)
         else f"{name}: its zero is not identified"
         for name, zero, sigma, basis in zip(MEASURED, verdict.zeros, verdict.sigma, verdict.bases, strict=True)
