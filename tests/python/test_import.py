@@ -585,11 +585,16 @@ def test_unreadable_recordings_are_refused(tmp_path: Path, capsys: pytest.Captur
     pq.write_table(pa.table({"time": GRID, "q": [str(x) for x in LEFT]}), tmp_path / "a.parquet")
     pq.write_table(pa.table({name: ["x"] for name in ("topic", "time", "seq", "payload")}), tmp_path / "r.parquet")
     q = {"t1": {"column": "q"}}
+    dated, stamped = tmp_path / "dated.csv", tmp_path / "dated.parquet"
+    dated.write_text("t,q\n2026-11-29T10:00:00,1\n2026-11-29T10:00:01,1\n", encoding="utf-8")
+    pq.write_table(pa.table({"t": pa.array([0, 1], pa.timestamp("ms")), "q": [1.0, 1.0]}), stamped)
     asked: list[tuple[Path, dict[str, Any] | None, str]] = [
         (file, None, "has no column measured.theta[1] or measured.theta[2]; without --map these names are needed, and its columns are time, q, r"),
         (bag, None, "its columns are /j/l/position"),
         (file, {"t1": {"column": "p"}}, "has no column p; its columns are time, q, r"),
         (file, {"t1": {"column": "q", "unit": "rad"}}, "'measured.theta[1].unit' is 'rad', but the head of the table says that q is in deg"),
+        (dated, q | {"time": {"column": "t", "unit": "ms"}}, "'time.unit' is 'ms', but t has dates, which need no unit"),
+        (stamped, q | {"time": {"column": "t", "unit": "ms"}}, "'time.unit' is 'ms', but t has dates, which need no unit"),
         (file, {"t1": {"column": "r"}}, "r is in inch; rad, mrad, deg, turns is allowed for measured.theta[1]"),
         (bag, {"t1": {"column": "/j/m/position"}}, "has no column /j/m/position; its columns are /j/l/position"),
         (tmp_path / "b.db3", q, "cannot be read as a ROS bag"),

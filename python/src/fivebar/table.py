@@ -83,6 +83,9 @@ class Table:
     others: list[str]
     """Names of all other columns."""
 
+    is_dated: bool = False
+    """Whether the counted column has dates."""
+
 
 def read(file: Path, wanted: Collection[str], counted: str, *, numbered: bool = False) -> Table:
     """Reads the columns `wanted` and `counted` that a table has. Raises FiveBarError, with one sentence that names the file.
@@ -139,7 +142,7 @@ def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> 
     if counted_place is not None:
         columns[counted] = np.array(counts)
     units = {name: unit for name, unit in head if unit} | ({counted: "s"} if is_dated else {})
-    return Table(columns, units, [name for name in names if name and name not in columns])
+    return Table(columns, units, [name for name in names if name and name not in columns], bool(is_dated))
 
 
 def rows(text: str) -> Iterator[list[str]]:

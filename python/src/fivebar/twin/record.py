@@ -112,7 +112,8 @@ def table_of(file: Path, wanted: Collection[str], counted: str) -> table.Table:
         columns[name] = _numbers(file, name, found, name == counted)
         if _is_timed(found.type):
             units[name] = "ns"
-    return table.Table(columns, units, [name for name in heads if name not in columns])
+    is_dated = counted in used and pa.types.is_timestamp(schema.field(heads[counted][0]).type)
+    return table.Table(columns, units, [name for name in heads if name not in columns], is_dated)
 
 
 def _is_timed(kind: pa.DataType) -> bool:

@@ -89,6 +89,10 @@ def _rows(file: Path, given: Map) -> tuple[Array, dict[str, Array], list[str]]:
     """Reads clock in s, variables and notes from a file."""
     streams = sources.read(file, {entry.column: None for entry in given.entries.values()}, given.time.column)
     head = next((stream.units[given.time.column] for stream in streams if given.time.column in stream.units), "")
+    if any(stream.is_dated for stream in streams) and given.time.unit not in ("", head):
+        raise FiveBarError(
+            f"'{TIME}.unit' is '{given.time.unit}', but {given.time.column:.60} has dates, which need no unit"
+        )
     factor = given.time.factor(TIME, head)
     if len(streams) == 1:
         clock = factor * streams[0].clock

@@ -43,6 +43,9 @@ class Stream:
     units: dict[str, str]
     """Units in a table's head, by column."""
 
+    is_dated: bool = False
+    """Whether the clock of a table has dates."""
+
 
 def read(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
     """Reads the columns `wanted` from a file. Raises FiveBarError with one sentence that names the file and missing columns."""
@@ -55,7 +58,7 @@ def read(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
                 f"{file} has no column {name}; its columns are {listed([*found.columns, *found.others])}"
             )
     columns = dict(found.columns)
-    return [Stream(file.name, columns.pop(clock), columns, found.units)]
+    return [Stream(file.name, columns.pop(clock), columns, found.units, found.is_dated)]
 
 
 def names(file: Path, clock: str) -> list[str]:
