@@ -127,11 +127,10 @@ impl History {
 
     /// Angle of an encoder `age` seconds ago; `None` if the sample is older than the run or the last change of hypothesis.
     pub(super) fn at(&self, motion: &LinkState, frame: &Frame, encoder: usize, age: f64) -> Option<Expected> {
-        let present = Past::present(motion, frame);
         if age == 0.0 {
-            let Axis { angle, row, is_approximate, .. } = present.axes[encoder];
-            return Some(Expected { angle, row, is_approximate });
+            return Some(Expected { angle: motion.theta[MEASURED[encoder]], row: frame.row(encoder), is_approximate: false });
         }
+        let present = Past::present(motion, frame);
         let before = self.past.iter().rposition(|past| past.age >= age)?;
         let (past, next) = (&self.past[before], self.past.get(before + 1).unwrap_or(&present));
         let length = past.age - next.age;

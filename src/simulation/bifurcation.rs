@@ -37,9 +37,7 @@ const LARGEST_WAY: f64 = 0.5;
 /// Longest step, s, of a machine that turns within `turn` of the posture with all links in line: no step jumps over the turn.
 #[cold]
 pub(super) fn longest_step(turn: f64, [q, v]: [&Angles; 2]) -> f64 {
-    let [left, elbow, _, right] = LINK_INDICES;
-    let rate = f64::max((v[elbow] - v[left]).abs(), (v[right] - v[left]).abs());
-    LARGEST_WAY * angle_to_bifurcation(q).max(turn) / rate
+    LARGEST_WAY * angle_to_bifurcation(q).max(turn) / turning_rate(v)
 }
 
 /// Whether a step of h seconds from these angles and rates begins or ends near a bifurcation.
@@ -52,6 +50,12 @@ pub(super) fn is_near(model: &Model, [q, v]: [&Angles; 2], h: f64) -> bool {
 fn angle_to_bifurcation(q: &Angles) -> f64 {
     let [left, elbow, _, right] = LINK_INDICES;
     f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())
+}
+
+/// Largest rate, rad/s, of the two angles in [`angle_to_bifurcation`].
+fn turning_rate(v: &Angles) -> f64 {
+    let [left, elbow, _, right] = LINK_INDICES;
+    f64::max((v[elbow] - v[left]).abs(), (v[right] - v[left]).abs())
 }
 
 /// Length of a step, s, of at most `longest`, from coordinates and velocities on a closure branch so near its bifurcation that steps of `h`
@@ -82,9 +86,7 @@ fn is_within<const BARE: bool>(system: &FiveBar<'_, BARE>, distance: f64, at: [&
 fn is_on_branch_within(model: &Model, distance: f64, [q, v]: [&Coordinates; 2], h: f64) -> bool {
     let [by_leg, rates] = [q, v].map(angles_by_leg);
     let (q, v) = (angles_of(q), angles_of(v));
-    let [left, elbow, _, right] = LINK_INDICES;
-    let turn = h * f64::max((v[elbow] - v[left]).abs(), (v[right] - v[left]).abs());
-    angle_to_bifurcation(&q) <= distance.max(turn)
+    angle_to_bifurcation(&q) <= distance.max(h * turning_rate(&v))
         && (model.turn_in_line.is_some_and(|turn| turn <= NEAR_BIFURCATION)
             || ClosureBranch::of(&model.mechanism.geometry, by_leg, rates).is_some())
 }
